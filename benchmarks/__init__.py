@@ -1,0 +1,6 @@
+"""Every number that the documentation states, measured again by one command: ``python -m benchmarks``.
+
+One module per concern. Each gives ``measure(context)``, which returns plain numbers that are kept as JSON in
+``bench-output/``, and ``render(values)``, which turns them into tables. ``page`` puts the tables together in
+``docs/results.md``; ``targets`` holds what the numbers are compared with.
+"""

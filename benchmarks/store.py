@@ -1,0 +1,134 @@
+"""Where the numbers are kept between runs, and what they were measured with."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import hashlib
+import json
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+OUTPUT = ROOT / "bench-output"
+PAGE = ROOT / "docs" / "results.md"
+
+# Parts of the package that cannot change a number: a new picture does not make old results stale.
+_WITHOUT_NUMBERS = ("cli", "viewing")
+
+
+class DataAbsentError(Exception):
+    """The folder of the data sets is not there; the message says where it was looked for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Context:
+    """What every section may use: processes for the accuracy runs, a filter of sequences, old results or not."""
+
+    jobs: int = 1
+    only: tuple[str, ...] = ()
+    fresh: bool = False
+
+    def wanted(self, sequence: str) -> bool:
+        """Whether the filter lets a sequence through."""
+        return not self.only or any(word in sequence for word in self.only)
+
+
+def data_folder() -> Path:
+    """The folder named by ``NRSFM_DATA``, or ``../shared/data`` beside the repository.
+
+    Raises ``DataAbsentError`` where there is none.
+    """
+    given = os.environ.get("NRSFM_DATA")
+    folder = Path(given) if given else ROOT / ".." / "shared" / "data"
+    if not folder.is_dir():
+        raise DataAbsentError("no folder of data sets (set NRSFM_DATA)")
+    return folder.resolve()
+
+
+def read(section: str) -> dict[str, Any] | None:
+    """What was kept of a section, or ``None``."""
+    path = OUTPUT / f"{section}.json"
+    if not path.is_file():
+        return None
+    try:
+        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError:
+        say(f"{path.name} is damaged and is ignored")
+        return None
+    return kept
+
+
+def write(section: str, values: dict[str, Any]) -> None:
+    """Keep the values of a section, with the date, the machine and the code that they belong to."""
+    from nrsfm.files.atomic import atomic_file
+
+    kept = {"date": today(), "code": code_digest(), "machine": machine(), "values": values}
+    with atomic_file(OUTPUT / f"{section}.json") as stream:
+        stream.write(json.dumps(kept, indent=1, allow_nan=False).encode())
+
+
+def say(text: str) -> None:
+    """Progress, on stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def today() -> str:
+    """The date, as YYYY-MM-DD."""
+    return datetime.datetime.now(datetime.UTC).date().isoformat()
+
+
+def code_digest() -> str:
+    """Digest of the package's code that bears on numbers, and of the linear algebra under it."""
+    import numpy
+    import scipy
+
+    digest = hashlib.sha256(f"numpy {numpy.__version__} scipy {scipy.__version__}".encode())
+    package = ROOT / "src" / "nrsfm"
+    for path in sorted(package.rglob("*.py")):
+        relative = path.relative_to(package)
+        if relative.parts[0] not in _WITHOUT_NUMBERS:
+            digest.update(relative.as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def machine() -> dict[str, Any]:
+    """Cores, processor, memory, versions."""
+    import numpy
+    import scipy
+    import threadpoolctl
+
+    from nrsfm import __version__
+
+    libraries = {i["internal_api"]: i["version"] for i in threadpoolctl.threadpool_info() if i["user_api"] == "blas"}
+    return {
+        "cores": cores(),
+        "processor": _processor(),
+        "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "numpy": numpy.__version__,
+        "scipy": scipy.__version__,
+        "blas": ", ".join(f"{name} {version}" for name, version in libraries.items()),
+        "nrsfm": __version__,
+    }
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass  # not Linux
+    return platform.processor() or platform.machine()

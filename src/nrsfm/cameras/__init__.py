@@ -1,0 +1,9 @@
+"""Camera rotations: estimated from the tracks by one of several estimators, or taken as given."""
+
+from __future__ import annotations
+
+from nrsfm.cameras.estimate import CameraEstimate, estimate_cameras
+from nrsfm.cameras.known import cameras_from_known
+from nrsfm.cameras.options import CameraOptions
+
+__all__ = ["CameraEstimate", "CameraOptions", "cameras_from_known", "estimate_cameras"]

@@ -1,0 +1,31 @@
+"""Options of the camera estimators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nrsfm.options import option
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """How the camera rotations are estimated when they are not given."""
+
+    cameras: str = option(
+        "intersection",
+        "Estimator: 'intersection' (metric upgrade of a rank-3K factorisation; Dai, Li and He 2014) or 'rigid' "
+        "(rank-3 factorisation; Tomasi and Kanade 1992).",
+        choices=("intersection", "rigid"),
+    )
+    camera_rank: int | None = option(
+        None, "Number of basis shapes in the metric upgrade. None: chosen from the data.", symbol="K", minimum=1
+    )
+    scales: str = option(
+        "auto",
+        "Scale of each frame: 'fixed' (orthographic, all 1), 'free' (scaled orthographic, one scale per frame, "
+        "mean 1) or 'auto' (free where the tracks show that the size changes, else fixed).",
+        choices=("auto", "fixed", "free"),
+    )
+    mirror: bool = option(
+        False, "Return the other of the two solutions that orthographic tracks cannot tell apart (z reversed)."
+    )

@@ -1,0 +1,64 @@
+"""``nrsfm info``: what a file holds, and whether it can be used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from nrsfm.cli.arguments import Parser
+from nrsfm.cli.reconstruct import add_reading
+from nrsfm.cli.text import columns, to_json
+
+
+def run(words: Sequence[str]) -> int:
+    """Run the verb and return the exit code."""
+    parser = Parser(
+        prog="nrsfm info",
+        usage="nrsfm info FILE [--order ORDER] [--array NAME] [--json]",
+        description="Say what a file of tracks, shapes, cameras or a reconstruction holds.",
+    )
+    parser.add_argument("file", metavar="FILE", help="any file that nrsfm reads")
+    add_reading(parser)
+    parser.add_argument("--json", action="store_true", help="JSON in place of text")
+    given = parser.parse_strictly(words)
+
+    from nrsfm.files import describe
+
+    found = describe(given.file, order=given.order, name=given.array)
+    if found["kind"] == "reconstruction":
+        from nrsfm.reconstruction import load_reconstruction
+
+        result = load_reconstruction(given.file)
+        found |= {
+            "method": result.method,
+            "options": result.options,
+            "groups": None if result.groups is None else len(set(result.groups.tolist())),
+            "diagnostics": result.diagnostics,
+        }
+    print(to_json(found) if given.json else columns(_lines(found)))
+    return 0
+
+
+def _lines(found: dict[str, Any]) -> list[tuple[str, str]]:
+    lines = [("kind", found["kind"])]
+    if found["holds"]:
+        lines.append(("can be read", ", ".join(found["holds"])))
+    lines += [(name, str(found[name])) for name in ("frames", "points", "dtype") if name in found]
+    if found.get("missing"):
+        lines.append(("missing", f"{found['missing']} entries, {100 * found['missing_share']:.2f} %"))
+    lines += [(axis, f"{low:.6g} to {high:.6g}") for axis, (low, high) in found.get("range", {}).items()]
+    if found["kind"] == "reconstruction":
+        lines.append(("method", found["method"] or "not recorded"))
+        if found["groups"] is not None:
+            lines.append(("groups", str(found["groups"])))
+        lines += [("warning", str(text)) for text in found["diagnostics"].get("warnings", [])]
+    elif found["problem"]:
+        lines.append(("as tracks", f"no: {found['problem']}"))
+    lines += [("array", _array_text(array)) for array in found["arrays"]]
+    lines.append(("file", f"{found['path']}, {found['bytes']} bytes"))
+    return lines
+
+
+def _array_text(array: dict[str, Any]) -> str:
+    sizes = "x".join(str(size) for size in array["shape"]) or "scalar"
+    return f"{array['name']} {array['dtype']} {sizes}".strip()

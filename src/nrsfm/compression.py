@@ -1,0 +1,218 @@
+"""Exact compression: P tracks become a few virtual ones, on which every method runs; then back.
+
+Each cell k of points has W_k = L_k Q_kᵀ with Q_k orthonormal (P_k × r_k, r_k ≤ min(2F, P_k)). All methods act on S
+only from the left and look at it only through Gram matrices over points, so they can run on the *virtual tracks*
+L_k (2F × r_k) and give exactly the shapes that they would give on W, after expansion by Q_kᵀ.
+
+L_k and Q_k come from the eigendecomposition of the float64 Gram matrix W_k W_kᵀ = V Λ Vᵀ: L_k = V √Λ,
+Q_kᵀ = Λ^(−1/2) Vᵀ W_k. A Gram matrix cannot tell singular values below about 1e-8 of the largest from rounding, so
+directions below 1e-7 of the largest singular value of W are always cut. ``tolerance`` cuts further: in every cell as
+many trailing directions as together hold at most that root mean square per coordinate (unit: the rms of all
+tracks). With ``noise`` > 0 the singular values are also shrunk optimally for that noise level, cell by cell: a local
+linear subspace whose dimension the data choose.
+
+P enters in three passes, each by chunks: :func:`measure`, :func:`compress` and :meth:`CompressedTracks.expand`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from nrsfm.numerics.noise import noise_from_neighbours, noise_from_spectrum, shrink_singular_values
+
+_CHUNK_BYTES = 16 * 2**20  # float64 working copy of a chunk of tracks
+_ROUNDING = 1e-7  # relative singular values below it are rounding in a float64 Gram matrix
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """The tracks seen as the paper's W: rows centred, divided by one unit, read in chunks of points.
+
+    ``points`` (F, P, 2) is the caller's array, never copied as a whole; ``translations`` (F, 2) the row means;
+    ``unit`` the root mean square of the centred coordinates; ``gram`` (2F, 2F) is W Wᵀ in that unit.
+    """
+
+    points: np.ndarray
+    translations: np.ndarray
+    unit: float
+    gram: np.ndarray
+
+    @property
+    def frames(self) -> int:
+        """F."""
+        return self.points.shape[0]
+
+    @property
+    def count(self) -> int:
+        """P."""
+        return self.points.shape[1]
+
+    def columns(self, which: slice | np.ndarray) -> np.ndarray:
+        """Columns of the centred, normalised W as a new float64 array (2F, n)."""
+        part = np.moveaxis(self.points[:, which], 2, 1).astype(np.float64, order="C")
+        part -= self.translations[:, :, None]
+        part /= self.unit
+        return part.reshape(2 * self.frames, -1)
+
+    def chunks(self) -> Iterator[slice]:
+        """Slices of points small enough for a float64 working copy."""
+        yield from _chunks(self.frames, self.count)
+
+
+def _chunks(frames: int, count: int) -> Iterator[slice]:
+    step = max(1, _CHUNK_BYTES // (16 * frames))
+    for start in range(0, count, step):
+        yield slice(start, min(start + step, count))
+
+
+def measure(points: np.ndarray) -> Measurements:
+    """First pass over the points: row means, unit and Gram matrix of the centred W.
+
+    A provisional offset, the mean of a sample, is taken off first, so that far-away tracks lose no digits.
+    """
+    frames, count, _ = points.shape
+    sample = points[:, :: max(1, count // 256)].astype(np.float64)
+    offset = sample.mean(axis=1)
+    total = np.zeros(2 * frames)
+    gram = np.zeros((2 * frames, 2 * frames))
+    for part in _chunks(frames, count):
+        block = np.moveaxis(points[:, part], 2, 1).astype(np.float64, order="C")
+        block -= offset[:, :, None]
+        rows = block.reshape(2 * frames, -1)
+        total += rows.sum(axis=1)
+        gram += rows @ rows.T
+    mean = total / count
+    gram -= count * np.outer(mean, mean)
+    unit = float(np.sqrt(max(np.trace(gram), 0.0) / (2 * frames * count)))
+    unit = unit if unit > 0 else 1.0
+    return Measurements(points, offset + mean.reshape(frames, 2), unit, gram / unit**2)
+
+
+def spectrum(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values (descending) and left singular vectors of W from W Wᵀ."""
+    values, vectors = np.linalg.eigh(gram)
+    return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
+
+
+def _factor(
+    gram: np.ndarray, columns: int, noise: float, tolerance: float, floor: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Virtual tracks (2F, r) and the map (r, 2F) that makes orthonormal Qᵀ out of W, from W Wᵀ."""
+    values, vectors = spectrum(gram)
+    shrunk = shrink_singular_values(values, (len(gram), columns), noise)
+    tail = np.cumsum(values[::-1] ** 2)[::-1]  # what would be lost by cutting from here on
+    kept = (values > floor) & (shrunk > 0) & (tail > tolerance**2 * len(gram) * columns)
+    if not kept.any():
+        kept[0] = True  # an all-zero or all-noise cell keeps one direction: its points stay in the answer
+        shrunk[0] = values[0]
+    inverse = np.where(values[kept] > floor, 1.0 / np.maximum(values[kept], np.finfo(float).tiny), 0.0)
+    return vectors[:, kept] * shrunk[kept], (vectors[:, kept] * inverse).T
+
+
+@dataclass(frozen=True)
+class CompressedTracks:
+    """Virtual tracks of all cells side by side, and the way back.
+
+    ``factors`` (F, 2, N); cell k owns columns ``offsets[k]:offsets[k+1]`` and, of the real points, those with
+    ``labels == k``; ``sizes`` (K,) counts them. ``discarded`` is the share of ‖W‖² that was cut or shrunk away.
+    """
+
+    factors: np.ndarray
+    offsets: np.ndarray
+    sizes: np.ndarray
+    labels: np.ndarray
+    maps: tuple[np.ndarray, ...]
+    measurements: Measurements
+    discarded: float
+
+    def expand(self, shapes: np.ndarray, dtype: np.dtype) -> np.ndarray:
+        """Shapes (F, 3, N) of the virtual points to shapes (F, P, 3) of the real ones, in the tracks' unit."""
+        frames, unit = self.measurements.frames, self.measurements.unit
+        out = np.empty((frames, self.measurements.count, 3), dtype=dtype)
+        flat = shapes.reshape(3 * frames, -1) * unit
+        for k, members in enumerate(self._members()):
+            left = flat[:, self.offsets[k] : self.offsets[k + 1]]
+            for part in _chunks(frames, len(members)):
+                block = left @ (self.maps[k] @ self.measurements.columns(members[part]))
+                out[:, members[part]] = block.reshape(frames, 3, -1).transpose(0, 2, 1)
+        return out
+
+    def _members(self) -> list[np.ndarray]:
+        order = np.argsort(self.labels, kind="stable")
+        return np.split(order, np.cumsum(self.sizes)[:-1])
+
+
+def compress(
+    measurements: Measurements, labels: np.ndarray, *, noise: float = 0.0, tolerance: float = 0.0
+) -> CompressedTracks:
+    """Second pass: the factor of every cell.
+
+    Parameters
+    ----------
+    measurements
+        From :func:`measure`.
+    labels
+        (P,) cell of each point, 0..K−1, every label in use.
+    noise
+        Standard deviation of the tracks' noise in units of ``measurements.unit``; 0 compresses exactly.
+    tolerance
+        Largest root mean square per coordinate that the cut directions of a cell may hold together, same unit.
+    """
+    sizes = np.bincount(labels)
+    members = np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
+    size = float(np.trace(measurements.gram))
+    floor = _ROUNDING * float(np.sqrt(max(np.linalg.eigvalsh(measurements.gram)[-1], 0.0)))
+    factors, maps = [], []
+    for indices in members:
+        gram = np.zeros_like(measurements.gram)
+        for part in _chunks(measurements.frames, len(indices)):
+            block = measurements.columns(indices[part])
+            gram += block @ block.T
+        left, back = _factor(gram, len(indices), noise, tolerance, floor)
+        factors.append(left)
+        maps.append(back)
+    stacked = np.concatenate(factors, axis=1)
+    offsets = np.concatenate([[0], np.cumsum([f.shape[1] for f in factors])])
+    lost = 1.0 - float(np.sum(stacked**2)) / size if size > 0 else 0.0
+    return CompressedTracks(
+        stacked.reshape(measurements.frames, 2, -1),
+        offsets,
+        sizes,
+        labels,
+        tuple(maps),
+        measurements,
+        max(lost, 0.0),
+    )
+
+
+def track_coordinates(measurements: Measurements, vectors: np.ndarray) -> np.ndarray:
+    """Coordinates (P, q) of the tracks in given left singular vectors (2F, q), float32."""
+    out = np.empty((measurements.count, vectors.shape[1]), dtype=np.float32)
+    for part in measurements.chunks():
+        out[part] = (vectors.T @ measurements.columns(part)).T
+    return out
+
+
+def estimate_noise(
+    measurements: Measurements, values: np.ndarray, coordinates: np.ndarray, rng: np.random.Generator
+) -> float:
+    """Standard deviation of the tracks' noise in units of ``measurements.unit``.
+
+    The lesser of two upper bounds: from the tail of the singular values, and from neighbouring tracks (sampled).
+    """
+    rows, count = 2 * measurements.frames, measurements.count
+    tail = noise_from_spectrum(values**2, rows, count)
+    neighbours = 24
+    if count < 4 * neighbours:
+        return tail
+    samples = rng.choice(count, size=min(64, count // 4), replace=False)
+    leading = np.ascontiguousarray(coordinates[:, :3].T)
+    near = np.empty((len(samples), neighbours), dtype=np.int64)
+    for i, s in enumerate(samples):
+        gaps = sum((row - row[s]) ** 2 for row in leading)
+        near[i] = np.argpartition(gaps, neighbours - 1)[:neighbours]
+    tracks = measurements.columns(near.reshape(-1)).T.reshape(len(samples), neighbours, rows)
+    return min(tail, noise_from_neighbours(leading.T[near].astype(np.float64), tracks))

@@ -1,0 +1,104 @@
+"""What a file holds, as a dict for people and programs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nrsfm.errors import FileError
+from nrsfm.files.container import NAMELESS, Entry, open_arrays
+from nrsfm.files.loading import load_rotations, load_shapes, load_tracks
+
+_RECONSTRUCTION = ("shapes", "rotations", "translations", "scales")
+_AXES = "xyz"
+
+
+def describe(
+    path: str | os.PathLike[str], *, order: str | None = None, name: str | None = None
+) -> dict[str, Any]:
+    """Return what a file holds; every value is plain, so that the dict goes into JSON.
+
+    Keys: ``path``, ``format`` (extension), ``bytes``, ``kind`` ("tracks", "shapes", "cameras",
+    "reconstruction" or "unknown"), ``arrays`` (a list of ``name``, ``shape``, ``dtype``), ``holds`` (which of
+    tracks, shapes and cameras can be read), and ``problem``, why the file is not usable as tracks, or
+    ``None``. For tracks and shapes also ``frames``, ``points``, ``dtype``, ``missing`` (entries),
+    ``missing_share`` (0 to 1), and ``range`` (per axis the least and greatest known coordinate, in the file's
+    unit). ``order`` and ``name`` are those of :func:`~nrsfm.files.load_tracks`.
+
+    Raises
+    ------
+    FileError
+        The file cannot be read at all.
+    """
+    entries = open_arrays(path)
+    result: dict[str, Any] = {
+        "path": str(path),
+        "format": Path(path).suffix.lower().lstrip("."),
+        "bytes": os.path.getsize(path),
+        "kind": "unknown",
+        "arrays": [_array(name, entry) for name, entry in entries.items()],
+        "holds": [],
+        "problem": None,
+    }
+    if all(name in entries for name in _RECONSTRUCTION):
+        truth = load_shapes(path)
+        return {
+            **result,
+            "kind": "reconstruction",
+            "holds": ["shapes", "cameras"],
+            **_summary(truth.shapes, None),
+        }
+    problems: list[str] = []
+    tracks = _attempt(lambda: load_tracks(path, order=order, name=name), problems)
+    truth_or_none = cameras = None
+    nameless = NAMELESS in entries
+    if tracks is None or not nameless:  # one array without a name is one thing only
+        truth_or_none = _attempt(lambda: load_shapes(path, order=order if nameless else None), problems)
+        cameras = _attempt(lambda: load_rotations(path), problems)
+    found = {"tracks": tracks, "shapes": truth_or_none, "cameras": cameras}
+    result["holds"] = [what for what, value in found.items() if value is not None]
+    result["kind"] = result["holds"][0] if result["holds"] else "unknown"
+    if tracks is not None:
+        result.update(_summary(tracks.points, tracks.visible))
+        return result
+    result["problem"] = problems[0]
+    if truth_or_none is not None:
+        result.update(_summary(truth_or_none.shapes, truth_or_none.valid))
+    elif cameras is not None:
+        result["frames"] = len(cameras)
+    return result
+
+
+def _attempt(load: Callable[[], Any], problems: list[str]) -> Any:
+    try:
+        return load()
+    except FileError as error:
+        problems.append(str(error))
+        return None
+
+
+def _array(name: str, entry: Entry) -> dict[str, Any]:
+    return {"name": name, "shape": list(entry.shape), "dtype": entry.dtype}
+
+
+def _summary(points: np.ndarray, known: np.ndarray | None) -> dict[str, Any]:
+    frames, count, axes = points.shape
+    low, high = np.full(axes, np.inf), np.full(axes, -np.inf)
+    for f, frame in enumerate(points):
+        part = frame if known is None else frame[known[f]]
+        if len(part):
+            low, high = np.minimum(low, part.min(axis=0)), np.maximum(high, part.max(axis=0))
+    missing = 0 if known is None else known.size - int(np.count_nonzero(known))
+    ranges = {a: [float(x), float(y)] for a, x, y in zip(_AXES, low, high, strict=False) if x <= y}
+    return {
+        "frames": frames,
+        "points": count,
+        "dtype": str(points.dtype),
+        "missing": missing,
+        "missing_share": missing / (frames * count),
+        "range": ranges,
+    }

@@ -1,0 +1,1 @@
+"""Grassmann manifolds: points, distances, self-expression, and the map to a lower dimension."""

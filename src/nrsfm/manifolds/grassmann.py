@@ -1,0 +1,52 @@
+"""Points on the Grassmann manifold G(p, d): where they come from, and how they are compared.
+
+A point is an orthonormal basis Φ (d × p); its embedding among symmetric matrices is Π(Φ) = ΦΦᵀ, on which distance
+and self-expression are defined. All functions take a stack (K, d, p).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def grassmann_points(blocks: np.ndarray, dimension: int) -> np.ndarray:
+    """Orthonormal bases (K, d, p) of the ``dimension`` leading left singular vectors of each (d, n) block.
+
+    ``blocks`` is (K, d, n); columns may be padded with zeros. Where a block has lower rank than ``dimension`` the
+    basis is completed by fixed directions orthogonal to it, so that it is always a point of G(p, d).
+    Source: f_g of the paper, [Φ, Σ, V] = svds(X, p), here by the smaller of the two Gram matrices.
+    """
+    count, ambient, columns = blocks.shape
+    if ambient <= columns:
+        return np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))[1][:, :, ::-1][:, :, :dimension]
+    values, right = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)
+    take = min(dimension, columns)
+    values, right = values[:, ::-1][:, :take], right[:, :, ::-1][:, :, :take]
+    bases = np.zeros((count, ambient, dimension))
+    bases[:, :, :take] = blocks @ right
+    live = np.zeros((count, dimension), dtype=bool)
+    live[:, :take] = values > 1e-13 * np.maximum(values[:, :1], np.finfo(float).tiny)
+    filler = np.eye(ambient, dimension)
+    bases = np.where(live[:, None, :], bases, filler * np.sqrt(np.maximum(values[:, :1, None], 1.0)))
+    # QR restores orthonormality to rounding and keeps the span of the leading columns.
+    return np.linalg.qr(bases)[0]
+
+
+def projection_kernel(points: np.ndarray) -> np.ndarray:
+    """Γ (K, K) with Γ_ij = ‖Φ_iᵀΦ_j‖²_F = tr((Φ_jᵀΦ_i)(Φ_iᵀΦ_j)), by one product of the stacked bases."""
+    count, ambient, dimension = points.shape
+    stacked = points.transpose(1, 0, 2).reshape(ambient, count * dimension)
+    products = (stacked.T @ stacked) ** 2
+    return products.reshape(count, dimension, count, dimension).sum(axis=(1, 3))
+
+
+def projection_distance(points: np.ndarray) -> np.ndarray:
+    """Squared projection distance d_g² (K, K) = ½‖Φ_iΦ_iᵀ − Φ_jΦ_jᵀ‖²_F = p − Γ_ij."""
+    squared = points.shape[2] - projection_kernel(points)
+    np.fill_diagonal(squared, 0.0)
+    return np.maximum(squared, 0.0)
+
+
+def similarity_graph(points: np.ndarray) -> np.ndarray:
+    """Weights w_ij = exp(−d_g²(Φ_i, Φ_j)) (K, K) of Algorithm 2."""
+    return np.exp(-projection_distance(points))

@@ -1,0 +1,241 @@
+"""The interface of a method, and what the methods that extend the global low-rank model share.
+
+A method sees one :class:`Problem`: virtual tracks, cameras, the noise level. It returns one :class:`Solution`. It
+does no I/O, draws no progress, times nothing and aligns nothing: the pipeline does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from nrsfm.numerics.low_rank import threshold_over_frames
+from nrsfm.options import option
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a method works on, in units in which the centred tracks have root mean square 1.
+
+    ``tracks`` (F, 2, N): virtual tracks, cells side by side. ``offsets`` (K+1,): cell k owns columns
+    ``offsets[k]:offsets[k+1]``. ``sizes`` (K,): real points of each cell. ``rotations`` (F, 2, 3): the upper rows of
+    the cameras. ``noise``: standard deviation of a real coordinate.
+    """
+
+    tracks: np.ndarray
+    offsets: np.ndarray
+    sizes: np.ndarray
+    rotations: np.ndarray
+    noise: float
+
+    @property
+    def points(self) -> int:
+        """Number of real points P."""
+        return int(self.sizes.sum())
+
+    @property
+    def initial_shapes(self) -> np.ndarray:
+        """S = pinv(R) W = Rᵀ W, (F, 3, N)."""
+        return self.rotations.transpose(0, 2, 1) @ self.tracks
+
+    def merged(self) -> tuple[Problem, np.ndarray]:
+        """The same problem with all cells compressed into one, and the map (r, N) back to their columns.
+
+        Exact for whatever treats all columns alike, and smaller: N columns have at most 2F dimensions.
+        """
+        flat = self.tracks.reshape(2 * len(self.tracks), -1)
+        left, values, right = np.linalg.svd(flat, full_matrices=False)
+        live = values > 1e-12 * max(float(values[0]), np.finfo(float).tiny)
+        live[0] = True
+        tracks = (left[:, live] * values[live]).reshape(len(self.tracks), 2, -1)
+        offsets, sizes = np.array([0, tracks.shape[2]]), np.array([self.points])
+        return Problem(tracks, offsets, sizes, self.rotations, self.noise), right[live]
+
+
+@dataclass
+class Solution:
+    """What a method found. ``groups`` (K,): subspace label of each cell, or None."""
+
+    shapes: np.ndarray
+    groups: np.ndarray | None
+    iterations: int
+    stop_reason: str
+    history: dict[str, list[float]]
+    chosen: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+Monitor = Callable[[float], None]  # told the share of the work that is done, 0 to 1
+
+
+class Method(Protocol):
+    """One method of the comparison. Instances are stateless; each lives in its own file."""
+
+    name: str
+    title: str
+    year: int
+    summary: str
+    assumes: str
+    cost: str
+    Options: type
+
+    def cells(self, options: Any, points: int, frames: int) -> int:
+        """How many k-means++ cells of points the method wants; 1 for a global method."""
+        ...
+
+    def solve(self, problem: Problem, options: Any, rng: np.random.Generator, monitor: Monitor) -> Solution:
+        """Run the method."""
+        ...
+
+
+@dataclass(frozen=True)
+class LowRankOptions:
+    """Options of the global low-rank model ½‖W − RS‖² + γ‖S♯‖_* and of its multiplier iteration."""
+
+    gamma: float | None = option(
+        None,
+        "Weight of the nuclear norm, in units of (rms of the tracks)·√P. Default: the larger of 0.003 and 0.15 × "
+        "the noise level.",
+        symbol="γ",
+        above=0,
+    )
+    reweight: float = option(
+        0.0,
+        "Reweighting ε of the nuclear norm: σ is thresholded by τ·εσ₁/(σ + εσ₁), so that large singular values are "
+        "hardly shrunk. 0 is the plain norm of the paper.",
+        symbol="ε",
+        minimum=0,
+    )
+    beta: float | None = option(
+        None,
+        "First penalty of the multiplier method. Default: the value at which the first threshold equals the largest "
+        "singular value, so that γ alone, not the schedule, decides the answer.",
+        symbol="β",
+        above=0,
+    )
+    growth: float = option(1.1, "Growth of the penalty per iteration.", symbol="ρ, c", above=1, maximum=10)
+    beta_max: float = option(1e8, "Largest penalty; reaching it stops the iteration.", symbol="β_m", above=0)
+    gap: float = option(
+        1e-7,
+        "Stop when the root mean square of S♯ − f(S), in units of the tracks' rms, is below this (and C − J too).",
+        symbol="ε",
+        above=0,
+    )
+    max_iterations: int = option(400, "Upper bound on iterations.", minimum=1)
+
+
+@dataclass
+class LowRankState:
+    """S, S♯, the multiplier L₁ and the penalty β of the iteration that all three methods run."""
+
+    problem: Problem
+    options: LowRankOptions
+    shapes: np.ndarray
+    low_rank: np.ndarray
+    multiplier: np.ndarray
+    gamma: float
+    beta: float
+    rank: int = 0
+    nuclear: float = 0.0
+    history: dict[str, list[float]] = field(default_factory=lambda: {"energy": [], "gap": [], "rank": [], "beta": []})
+
+    @classmethod
+    def start(cls, problem: Problem, options: LowRankOptions) -> LowRankState:
+        """S = pinv(R) W, S♯ = f(S), L₁ = 0."""
+        shapes = problem.initial_shapes
+        relative = options.gamma if options.gamma is not None else max(0.003, 0.15 * problem.noise)
+        gamma = relative * float(np.sqrt(problem.points))
+        largest = float(np.linalg.norm(shapes.reshape(len(shapes), -1), 2))
+        factor = options.reweight if options.reweight > 0 else 1.0
+        beta = options.beta if options.beta is not None else gamma * factor / max(largest, np.finfo(float).tiny)
+        return cls(problem, options, shapes, shapes.copy(), np.zeros_like(shapes), gamma, min(beta, 1.0))
+
+    def update_shapes(self) -> None:
+        """S ← (RᵀR + βI)⁻¹ (β(f⁻¹(S♯) + f⁻¹(L₁)/β) + RᵀW).
+
+        With R Rᵀ = I the inverse is explicit: S = A + Rᵀ(W − RA)/(1 + β), A = S♯ + L₁/β.
+        """
+        rows = self.problem.rotations
+        target = self.multiplier / self.beta
+        target += self.low_rank
+        residual = self.problem.tracks - rows @ target
+        residual /= 1.0 + self.beta
+        target += rows.transpose(0, 2, 1) @ residual
+        self.shapes = target
+
+    def update_low_rank(self) -> None:
+        """S♯ ← U S_{γ/β}(Σ) Vᵀ of f(S) − L₁/β."""
+        reweight = self.options.reweight if self.options.reweight > 0 else None
+        start = self.multiplier / -self.beta
+        start += self.shapes
+        self.low_rank, values = threshold_over_frames(start, self.gamma / self.beta, reweight)
+        self.rank = int(np.count_nonzero(values))
+        self.nuclear = float(values.sum())
+
+    def update_multiplier(self, other_gap: float = 0.0) -> float:
+        """L₁ ← L₁ + β(S♯ − f(S)); record energy, gap, rank; return the gap.
+
+        The paper's gap is a largest entry; here it is a root mean square per real coordinate, which the
+        compression leaves unchanged.
+        """
+        step = self.low_rank - self.shapes
+        size = float(np.sqrt(np.sum(step * step) / (3 * len(step) * self.problem.points)))
+        step *= self.beta
+        self.multiplier += step
+        residual = self.problem.tracks - self.problem.rotations @ self.low_rank
+        gap = max(size, other_gap)
+        self.history["energy"].append(0.5 * float(np.sum(residual * residual)) + self.gamma * self.nuclear)
+        self.history["gap"].append(gap)
+        self.history["rank"].append(float(self.rank))
+        self.history["beta"].append(self.beta)
+        return gap
+
+    def grow(self) -> None:
+        """β ← min(ρβ, β_m)."""
+        self.beta = min(self.options.growth * self.beta, self.options.beta_max)
+
+    def chosen(self) -> dict[str, Any]:
+        """What was chosen from the data: γ relative to √P, and the final rank."""
+        return {"gamma": self.gamma / float(np.sqrt(self.problem.points)), "rank": self.rank}
+
+    def finished(self, gap: float) -> str | None:
+        """The reason to stop, or None."""
+        if not np.isfinite(gap):
+            return "not finite"
+        if gap < self.options.gap:
+            return "gap"
+        if self.beta >= self.options.beta_max:
+            return "largest penalty"
+        return None
+
+
+def run_iterations(state: LowRankState, step: Callable[[int], float], monitor: Monitor) -> tuple[int, str]:
+    """Call ``step(iteration)``, which returns the gap, until the state is finished; returns (iterations, reason)."""
+    first = None
+    for iteration in range(state.options.max_iterations):
+        gap = step(iteration)
+        reason = state.finished(gap)
+        if reason is not None:
+            return iteration + 1, reason
+        # The gap falls about geometrically, so its logarithm tells how far the iteration has come.
+        first = gap if first is None else max(first, gap)
+        if gap > 0 and first > state.options.gap:
+            monitor(min(1.0, float(np.log(first / gap) / np.log(first / state.options.gap))))
+        state.grow()
+    return state.options.max_iterations, "iteration limit"
+
+
+def solve_global(problem: Problem, options: LowRankOptions, monitor: Monitor) -> Solution:
+    """The global low-rank model alone: alternate S and S♯ with multipliers until they agree."""
+    state = LowRankState.start(problem, options)
+
+    def step(_: int) -> float:
+        state.update_shapes()
+        state.update_low_rank()
+        return state.update_multiplier()
+
+    iterations, reason = run_iterations(state, step, monitor)
+    return Solution(state.shapes, None, iterations, reason, state.history, state.chosen())

@@ -1,0 +1,210 @@
+"""How far an estimate is from the truth: e3D under its alignments, the mocap literature's error, camera error.
+
+The papers of this field do not agree on alignment, so every alignment is here and each has a name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from nrsfm.errors import InputError, suggest
+
+ALIGNMENTS = ("none", "global", "per-frame", "similarity")
+
+
+def _shapes(value: Any, name: str) -> np.ndarray:
+    array = np.asarray(getattr(value, "shapes", value))
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name}: real numbers are needed, received dtype {array.dtype}")
+    if array.ndim != 3 or array.shape[2] != 3:
+        raise InputError(f"{name}: shape (frames, points, 3) is needed, received {array.shape}")
+    if array.size == 0:
+        raise InputError(f"{name}: at least one frame and one point are needed, received {array.shape}")
+    return array
+
+
+def _pair(estimate: Any, truth: Any, valid: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    estimate, truth = _shapes(estimate, "estimate"), _shapes(truth, "truth")
+    if estimate.shape != truth.shape:
+        raise InputError(f"estimate and truth must have the same shape, received {estimate.shape} and {truth.shape}")
+    if valid is None:
+        for name, array in (("estimate", estimate), ("truth", truth)):
+            bad = int(np.count_nonzero(~np.isfinite(array)))
+            if bad:
+                raise InputError(f"{name}: every coordinate must be finite, received {bad} that are NaN or infinite")
+        return estimate, truth, None
+    valid = np.asarray(valid)
+    if valid.shape != truth.shape[:2] or valid.dtype != np.bool_:
+        raise InputError(
+            f"valid: a bool array of shape {truth.shape[:2]} is needed, received {valid.dtype} {valid.shape}"
+        )
+    return estimate, truth, valid
+
+
+def _check_alignment(align: str) -> None:
+    if align not in ALIGNMENTS:
+        listed, near = ", ".join(ALIGNMENTS), suggest(str(align), ALIGNMENTS)
+        raise InputError(f"align must be one of {listed}, received {align!r}{near}")
+
+
+def _centred(frame: np.ndarray) -> np.ndarray:
+    frame = np.asarray(frame, dtype=np.float64)
+    return frame - frame.mean(axis=0)
+
+
+def _procrustes(cross: np.ndarray) -> np.ndarray:
+    """Orthogonal Q (reflection allowed) that maximises trace(Qᵀ cross)."""
+    u, _, vt = np.linalg.svd(cross)
+    return u @ vt
+
+
+def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.ndarray | None = None) -> np.ndarray:
+    """Relative 3D error of each frame, ‖S_est − S_true‖_F / ‖S_true‖_F, both centred per frame.
+
+    Parameters
+    ----------
+    estimate, truth
+        Shapes (F, P, 3), or objects with ``.shapes``.
+    align
+        ``"none"``: only centred. ``"global"``: one orthogonal matrix for the whole sequence, reflection allowed.
+        ``"per-frame"``: orthogonal Procrustes in each frame, reflection allowed. ``"similarity"``: the same with
+        one scale per frame (the scale that minimises the frame's error).
+    valid
+        Optional (F, P) bool: the points of each frame that count.
+
+    Returns
+    -------
+    (F,) errors. A frame whose true shape is a single point gives 0 where the estimate is one too, else infinity;
+    a frame without any valid point gives NaN.
+
+    Source: the paper's equation for e3D.
+    """
+    _check_alignment(align)
+    est, true, mask = _pair(estimate, truth, valid)
+
+    def frames() -> Iterator[tuple[np.ndarray | None, np.ndarray | None]]:
+        for f in range(len(true)):
+            a, b = est[f], true[f]
+            if mask is not None:
+                a, b = a[mask[f]], b[mask[f]]
+            yield (_centred(a), _centred(b)) if len(a) else (None, None)
+
+    rotation = np.eye(3)
+    if align == "global":
+        cross = np.zeros((3, 3))
+        for a, b in frames():
+            if a is not None and b is not None:
+                cross += a.T @ b
+        rotation = _procrustes(cross)
+    errors = np.full(len(true), np.nan)
+    for f, (a, b) in enumerate(frames()):
+        if a is None or b is None:
+            continue
+        if align in ("per-frame", "similarity"):
+            rotation = _procrustes(a.T @ b)
+        moved = a @ rotation
+        if align == "similarity":
+            size = float(np.sum(moved * moved))
+            moved = moved * (float(np.sum(moved * b)) / size) if size > 0 else moved
+        norm, gap = np.linalg.norm(b), np.linalg.norm(moved - b)
+        errors[f] = gap / norm if norm > 0 else (0.0 if gap == 0 else np.inf)
+    return errors
+
+
+def shape_error(estimate: Any, truth: Any, align: str = "global", *, valid: np.ndarray | None = None) -> float:
+    """Mean over frames of the relative 3D error e3D; parameters as in :func:`frame_errors`."""
+    return float(np.nanmean(frame_errors(estimate, truth, align, valid=valid)))
+
+
+def point_errors(estimate: Any, truth: Any, align: str = "per-frame") -> np.ndarray:
+    """Distance of every point from the truth after alignment, in the truth's unit: (F, P)."""
+    est, true, _ = _pair(estimate, truth, None)
+    moved = aligned(est, true, align)
+    gaps = np.empty(true.shape[:2])
+    for f in range(len(true)):
+        gaps[f] = np.linalg.norm(moved[f] - _centred(true[f]), axis=1)
+    return gaps
+
+
+def aligned(estimate: Any, truth: Any, align: str = "global") -> np.ndarray:
+    """Return the centred estimate moved onto the (centred) truth by the named alignment, (F, P, 3)."""
+    _check_alignment(align)
+    est, true, _ = _pair(estimate, truth, None)
+    pairs = [(_centred(a), _centred(b)) for a, b in zip(est, true, strict=True)]
+    rotation = np.eye(3)
+    if align == "global":
+        rotation = _procrustes(sum((a.T @ b for a, b in pairs), np.zeros((3, 3))))
+    out = np.empty(true.shape)
+    for f, (a, b) in enumerate(pairs):
+        if align in ("per-frame", "similarity"):
+            rotation = _procrustes(a.T @ b)
+        out[f] = a @ rotation
+        if align == "similarity":
+            size = float(np.sum(out[f] ** 2))
+            out[f] *= float(np.sum(out[f] * b)) / size if size > 0 else 1.0
+    return out
+
+
+def camera_frame_error(estimate: Any, truth: Any, truth_rotations: np.ndarray) -> float:
+    """e3D between the shapes as their cameras see them, R_f S_f, after one orthogonal alignment (or mirror).
+
+    The mocap literature's protocol: the object frame of an estimate may turn from frame to frame together with its
+    cameras, which no orthographic data can forbid; in the camera frame that freedom is gone.
+
+    Parameters
+    ----------
+    estimate
+        Object with ``.shapes`` (F, P, 3) and ``.rotations`` (F, 3, 3).
+    truth
+        Shapes (F, P, 3) in the object frame.
+    truth_rotations
+        (F, 3, 3), camera from object.
+    """
+    seen = np.einsum("fij,fpj->fpi", estimate.rotations, np.asarray(estimate.shapes, dtype=np.float64))
+    true = np.einsum("fij,fpj->fpi", truth_rotations, np.asarray(_shapes(truth, "truth"), dtype=np.float64))
+    return shape_error(seen, true, "global")
+
+
+def mocap_error(estimate: Any, truth: Any) -> float:
+    """The sparse mocap literature's error: mean point distance over the mean row deviation of the truth.
+
+    One global orthogonal alignment (reflection allowed), then the mean over frames and points of the distance,
+    divided by the mean over frames of (std of x + std of y + std of z) / 3. Never mix it with e3D in one table.
+    Source: Akhter et al. 2008; Gotardo and Martinez 2011.
+    """
+    est, true, _ = _pair(estimate, truth, None)
+    spread = float(np.mean(np.std(np.asarray(true, dtype=np.float64), axis=1)))
+    distance = float(np.mean(point_errors(est, true, "global")))
+    return distance / spread if spread > 0 else (0.0 if distance == 0 else float("inf"))
+
+
+def rotation_error(estimate: Any, truth: Any) -> float:
+    """Mean angle in degrees between camera rotations after the one alignment the data cannot fix.
+
+    ``estimate`` and ``truth`` are (F, 3, 3) or (F, 2, 3), camera from object, or objects with ``.rotations``.
+    The object frame is free up to one orthogonal matrix, and the mirror z → −z of the camera frame is not
+    observable under orthography: both mirrors are tried and the better one counts.
+    """
+    rows = []
+    for name, value in (("estimate", estimate), ("truth", truth)):
+        array = np.asarray(getattr(value, "rotations", value), dtype=np.float64)
+        if array.ndim != 3 or array.shape[1] not in (2, 3) or array.shape[2] != 3:
+            raise InputError(f"{name}: shape (frames, 3, 3) or (frames, 2, 3) is needed, received {array.shape}")
+        x, y = array[:, 0], array[:, 1]
+        rows.append(np.stack([x, y, np.cross(x, y)], axis=1))
+    est, true = rows
+    if len(est) != len(true):
+        raise InputError(f"estimate and truth must have as many frames, received {len(est)} and {len(true)}")
+    best = np.inf
+    flip = np.diag([1.0, 1.0, -1.0])
+    for mirror in (np.eye(3), flip):
+        candidate = mirror @ est @ mirror
+        u, _, vt = np.linalg.svd(np.einsum("fij,fik->jk", candidate, true))
+        fix = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        moved = candidate @ fix
+        cosine = (np.einsum("fij,fij->f", moved, true) - 1.0) / 2.0
+        best = min(best, float(np.degrees(np.mean(np.arccos(np.clip(cosine, -1.0, 1.0))))))
+    return best

@@ -1,0 +1,27 @@
+"""Control of the linear-algebra library's threads.
+
+Small eigenproblems under a multi-threaded BLAS can run several times slower than on one thread, so the
+iterations run on one; passes over all points use every thread that the caller allows.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+
+@cache
+def _controller() -> Any:
+    # Looking up the loaded libraries costs milliseconds; once per process is enough.
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+@contextlib.contextmanager
+def single_thread() -> Iterator[None]:
+    """Run the body with one BLAS thread; the setting before is restored after it."""
+    with _controller().limit(limits=1, user_api="blas"):
+        yield

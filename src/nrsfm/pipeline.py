@@ -1,0 +1,255 @@
+"""The one path from tracks to a reconstruction.
+
+tracks → measure → cameras → cells → compress → method → expand → reconstruction. Each stage is timed here and named to
+the caller's progress function; nothing below this file times, draws or aligns anything.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from nrsfm.cameras import CameraEstimate, CameraOptions, cameras_from_known, estimate_cameras
+from nrsfm.clustering import kmeans
+from nrsfm.compression import (
+    CompressedTracks,
+    Measurements,
+    compress,
+    estimate_noise,
+    measure,
+    spectrum,
+    track_coordinates,
+)
+from nrsfm.errors import InputError
+from nrsfm.methods import get_method
+from nrsfm.methods.base import Method, Problem
+from nrsfm.numerics.noise import shrink_singular_values
+from nrsfm.numerics.threads import single_thread
+from nrsfm.options import option, split_options
+from nrsfm.progress import Report, TerminalProgress, silent
+from nrsfm.reconstruction import Reconstruction
+from nrsfm.tracks import Tracks
+
+logger = logging.getLogger(__name__)
+
+_COORDINATES = 10  # leading track coordinates in which cells and neighbours are found
+
+
+@dataclass(frozen=True)
+class PipelineOptions:
+    """What every method shares: compression, noise and the precision of the result."""
+
+    tolerance: float = option(
+        1e-4,
+        "Directions that the compression may cut in each cell: at most this root mean square per coordinate, in "
+        "units of the tracks' own. The default is a hundredth of a pixel on an object 100 pixels in size; 0 is exact.",
+        minimum=0,
+        maximum=0.1,
+    )
+    denoise: bool = option(
+        True, "Shrink the singular values of every cell optimally for the noise level while compressing."
+    )
+    noise: float | None = option(
+        None,
+        "Standard deviation of the tracks' noise, in their unit. Default: estimated from the tracks.",
+        minimum=0,
+    )
+    precision: str = option("float32", "Type of the returned shapes.", choices=("float32", "float64"))
+
+
+class _Stages:
+    """Names, times and reports the stages of one run."""
+
+    def __init__(self, report: Report) -> None:
+        self.seconds: dict[str, float] = {}
+        self._report = report
+
+    @contextlib.contextmanager
+    def __call__(self, name: str) -> Iterator[Callable[[float], None]]:
+        self._report(name, None)
+        start = time.perf_counter()
+        yield lambda fraction: self._report(name, fraction)
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def reconstruct(
+    tracks: Tracks | np.ndarray,
+    method: str = "geometry-aware",
+    rotations: np.ndarray | None = None,
+    seed: int = 0,
+    progress: bool | Report = False,
+    **options: Any,
+) -> Reconstruction:
+    """Recover the 3D shape of every frame from 2D point tracks.
+
+    Parameters
+    ----------
+    tracks
+        ``Tracks``, or an array of points (F, P, 2), at least 3 frames and 4 points, complete.
+    method
+        One of ``nrsfm.method_names()``.
+    rotations
+        Known cameras (F, 3, 3) or (F, 2, 3), camera from object; estimated when not given.
+    seed
+        Seeds every random choice: same input, options, seed and thread count give the same output.
+    progress
+        ``True`` draws a line on a terminal's stderr; a function is called as ``progress(stage, fraction)``.
+    **options
+        Options of the pipeline (``PipelineOptions``), of the cameras (``CameraOptions``) and of the method
+        (``nrsfm methods``).
+
+    Returns
+    -------
+    Reconstruction
+        ``points[f] ≈ scales[f] · (rotations[f] @ shapes[f].T)[:2].T + translations[f]``, in the tracks' unit.
+
+    Raises
+    ------
+    InputError
+        Tracks, rotations or options break a rule; the message names it and the value received.
+    MissingEntriesError
+        Some points were not seen in some frames.
+    """
+    tracks = tracks if isinstance(tracks, Tracks) else Tracks(tracks)
+    tracks.require_complete()
+    tracks.require_reconstructible()
+    solver = get_method(method)
+    pipeline, camera, own = split_options(
+        (PipelineOptions, CameraOptions, solver.Options), options, f"method '{method}'"
+    )
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise InputError(f"seed must be a whole number, at least 0, received {seed!r}")
+    known = None if rotations is None else cameras_from_known(rotations, tracks.n_frames)
+    if progress is True:
+        with TerminalProgress() as line:
+            return _run(tracks, solver, known, int(seed), line, pipeline, camera, own)
+    report = progress if callable(progress) else silent
+    return _run(tracks, solver, known, int(seed), report, pipeline, camera, own)
+
+
+def _run(
+    tracks: Tracks,
+    method: Method,
+    known: np.ndarray | None,
+    seed: int,
+    report: Report,
+    pipeline: PipelineOptions,
+    camera: CameraOptions,
+    own: Any,
+) -> Reconstruction:
+    stages = _Stages(report)
+    rng = np.random.default_rng(seed)
+    with stages("reading tracks"):
+        measured = measure(tracks.points)
+        with single_thread():
+            values, vectors = spectrum(measured.gram)
+        coordinates = track_coordinates(measured, vectors[:, :_COORDINATES])
+        noise = _noise_level(measured, values, coordinates, pipeline, rng)
+    with stages("cameras") as monitor, single_thread():
+        cameras = _cameras(measured, values, vectors, known, noise, camera, seed, monitor)
+    # The cells' eigenproblems are small: threads would cost more than they give.
+    with stages("compression"), single_thread():
+        labels = kmeans(coordinates, method.cells(own, measured.count, measured.frames), rng)
+        compressed = compress(measured, labels, noise=noise if pipeline.denoise else 0.0, tolerance=pipeline.tolerance)
+    with stages(method.name) as monitor, single_thread():
+        problem = Problem(
+            compressed.factors / cameras.scales[:, None, None],
+            compressed.offsets,
+            compressed.sizes,
+            np.ascontiguousarray(cameras.rotations[:, :2]),
+            noise,
+        )
+        solution = method.solve(problem, own, rng, monitor)
+    with stages("expansion"):
+        shapes = compressed.expand(solution.shapes, np.dtype(pipeline.precision))
+    warnings = [*cameras.warnings, *solution.warnings]
+    for text in warnings:
+        logger.warning(text)
+    groups = None if solution.groups is None else solution.groups[labels]
+    return Reconstruction(
+        shapes=shapes,
+        rotations=cameras.rotations,
+        translations=measured.translations,
+        scales=cameras.scales,
+        groups=groups,
+        diagnostics={
+            "iterations": solution.iterations,
+            "stop_reason": solution.stop_reason,
+            "history": solution.history,
+            "seconds": stages.seconds,
+            "noise": noise * measured.unit,
+            "compression": _compression_report(compressed),
+            "cameras": _camera_report(cameras, known is not None),
+            "chosen": solution.chosen,
+            "warnings": warnings,
+        },
+        method=method.name,
+        options={"seed": seed, **asdict(pipeline), **asdict(camera), **asdict(own)},
+    )
+
+
+def _noise_level(
+    measured: Measurements,
+    values: np.ndarray,
+    coordinates: np.ndarray,
+    options: PipelineOptions,
+    rng: np.random.Generator,
+) -> float:
+    """Noise in units of the tracks' rms: as told, or estimated; 0 below the tolerance."""
+    if options.noise is not None:
+        level = options.noise / measured.unit
+    else:
+        level = estimate_noise(measured, values, coordinates, rng)
+    # Noise that the compression may cut anyway is none: exact tracks stay exactly compressed.
+    return level if level > options.tolerance else 0.0
+
+
+def _cameras(
+    measured: Measurements,
+    values: np.ndarray,
+    vectors: np.ndarray,
+    known: np.ndarray | None,
+    noise: float,
+    options: CameraOptions,
+    seed: int,
+    monitor: Callable[[float], None],
+) -> CameraEstimate:
+    """Cameras from the global factor of W, whose singular values are shrunk for the noise."""
+    if known is not None:
+        return CameraEstimate(known, np.ones(measured.frames), rank=0)
+    shrunk = shrink_singular_values(values, (len(values), measured.count), noise)
+    kept = (shrunk > 0) & (values > 1e-7 * values[0])
+    kept[:3] = True
+    factor = vectors[:, kept] * np.where(shrunk > 0, shrunk, values)[kept]
+    return estimate_cameras(
+        factor,
+        options,
+        noise=noise,
+        points=measured.count,
+        seed=seed,
+        progress=lambda _, fraction: monitor(fraction or 0.0),
+    )
+
+
+def _compression_report(compressed: CompressedTracks) -> dict[str, Any]:
+    ranks = np.diff(compressed.offsets)
+    return {
+        "points": compressed.measurements.count,
+        "virtual_points": int(compressed.offsets[-1]),
+        "cells": len(ranks),
+        "ranks": ranks.tolist(),
+        "sizes": compressed.sizes.tolist(),
+        "discarded": compressed.discarded,
+    }
+
+
+def _camera_report(cameras: CameraEstimate, known: bool) -> dict[str, Any]:
+    if known:
+        return {"known": True}
+    return {"known": False, "rank": cameras.rank, "turn": cameras.turn, "candidates": cameras.candidates}

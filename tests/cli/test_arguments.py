@@ -1,0 +1,97 @@
+from dataclasses import dataclass
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nrsfm.cli.arguments import Parser, add_options, flag_of, given_options
+from nrsfm.errors import OptionError
+from nrsfm.options import option
+
+
+@dataclass(frozen=True)
+class Options:
+    max_rank: int | None = option(None, "Greatest rank in %.", symbol="K", minimum=1)
+    step: float = option(0.5, "Step γ.", above=0)
+    spatial: bool = option(True, "Use it.")
+    start: str = option("rigid", "First guess.", choices=("rigid", "conic"))
+
+
+def parser():
+    made = Parser(prog="nrsfm verb")
+    made.add_argument("file")
+    made.add_argument("--out")
+    add_options(made, "options of the method", Options)
+    return made
+
+
+def parsed(*words):
+    return given_options(parser().parse_strictly(words))
+
+
+PIECES = [
+    ["a.npz"],
+    ["--out", "d"],
+    ["--max-rank", "3"],
+    ["--step=-1e-3"],
+    ["--no-spatial"],
+    ["--start", "conic"],
+]
+
+
+@given(st.permutations(PIECES))
+def test_arguments_may_come_in_any_order(pieces):
+    words = [word for piece in pieces for word in piece]
+    namespace = parser().parse_strictly(words)
+    assert namespace.file == "a.npz"
+    assert namespace.out == "d"
+    assert given_options(namespace) == {"max_rank": 3, "step": -1e-3, "spatial": False, "start": "conic"}
+
+
+def test_options_that_are_not_given_are_absent():
+    assert parsed("a.npz") == {}
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_numbers_come_through_whatever_their_sign(value):
+    assert parsed("a", "--step", repr(value)) == {"step": value}
+
+
+def test_auto_means_none_where_that_is_allowed():
+    assert parsed("a", "--max-rank", "auto") == {"max_rank": None}
+    with pytest.raises(OptionError, match="a number is needed, received 'auto'"):
+        parsed("a", "--step", "auto")
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["a", "--max-rnk", "3"], "unknown option '--max-rnk'; did you mean '--max-rank'"),
+        (["--max-rnk", "3"], "unknown option '--max-rnk'"),
+        (["--stpe=3", "a"], "unknown option '--stpe'; did you mean '--step'"),
+        (["a", "--max-r", "3"], "unknown option '--max-r'"),
+        (["a", "-x"], "unknown option '-x'"),
+        (["a", "b"], "unexpected argument 'b'"),
+        (["--out", "d"], "required: file"),
+        (["a", "--max-rank", "3.5"], "--max-rank: a whole number or auto is needed, received '3.5'"),
+        (["a", "--out"], "expected one argument"),
+    ],
+)
+def test_wrong_arguments_are_explained_in_one_line(words, text):
+    with pytest.raises(OptionError, match=text) as caught:
+        parser().parse_strictly(words)
+    assert "\n" not in str(caught.value)
+
+
+def test_help_shows_symbol_default_and_text():
+    text = " ".join(parser().format_help().split())
+    assert "options of the method:" in text
+    assert "Greatest rank in %. [symbol K; default: auto]" in text
+    assert "Step γ. [default: 0.5]" in text
+    assert "--spatial, --no-spatial" in text
+    assert "{rigid,conic}" in text
+
+
+def test_a_field_whose_spelling_is_taken_has_another():
+    assert flag_of("cameras") == "--camera-method"
+    assert flag_of("max_rank") == "--max-rank"
