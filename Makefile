@@ -1,6 +1,6 @@
 # make demo    reconstruct, score and draw a built-in sequence, into demo-output/
 # make test    every test
-# make bench   speed and memory
+# make bench   every number of the documentation, measured again
 # make lint    format, rules and types
 # make clean   remove the environment and every output
 #
@@ -24,7 +24,7 @@ test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest
 
 bench: $(VENV)/installed-dev
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python -m benchmarks
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .

@@ -54,6 +54,7 @@ def run_cases(section: str, cases: Iterable[Case], measures: tuple[str, ...], co
     ``measures`` names functions of ``_MEASURES``. A case that raises is recorded as ``{"error": ...}`` and does
     not stop the others; the page shows it as failed.
     """
+    store.data_folder()
     digest = store.code_digest()
     before = store.read(section)
     records: dict[str, Any] = dict(before["values"].get("records", {})) if before else {}

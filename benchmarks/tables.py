@@ -30,10 +30,28 @@ class Check:
     def cell(self) -> str:
         """The number, its target and the mark: ".0623 ≤ .064 ✓" or ".0702 > .064 ✗"."""
         if self.value is None:
-            return f"failed {NO}"
+            return f"no number {NO}"
         sign = "≤" if self.passed else ">"
         number, limit = (error, error_limit) if not self.unit else (amount, amount)
         return f"{number(self.value)}{self.unit} {sign} {limit(self.limit)}{self.unit} {self.mark}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Fact:
+    """A yes-or-no target; ``text`` says what was found."""
+
+    what: str
+    passed: bool
+    text: str
+
+    @property
+    def mark(self) -> str:
+        """✓ or ✗."""
+        return YES if self.passed else NO
+
+    def cell(self) -> str:
+        """What was found, and the mark."""
+        return f"{self.text} {self.mark}"
 
 
 def error(value: float | None) -> str:

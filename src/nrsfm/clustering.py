@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 _SAMPLE = 20_000  # centres are learnt on at most so many points; all points are then assigned
+_ROUNDING = 1e-8  # eigenvalues (of at most 1) and gaps between them that are rounding
 
 
 def _nearest(data: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +73,7 @@ def kmeans(data: np.ndarray, count: int, rng: np.random.Generator, rounds: int =
         sums = np.stack([np.bincount(labels, weights=column, minlength=count) for column in sample.T], axis=1)
         centres = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centres)
         total = float(gaps.sum())
-        if before - total <= 1e-4 * before:
+        if total >= (1 - 1e-4) * before:  # false while `before` is infinite
             break
         before = total
     labels = _nearest(data, centres)[0] if sample is not data else _nearest(sample, centres)[0]
@@ -93,13 +94,14 @@ def spectral_groups(
         (n, n) symmetric, non-negative.
     count
         Number of groups; ``None`` takes the largest gap between consecutive eigenvalues of the normalised
-        affinity, among the counts in ``span``.
+        affinity, among the counts in ``span``; one group where there is no gap.
     span
         Least and largest count tried with ``count=None``; (2, n − 1) unless given.
 
     Returns
     -------
-    (n,) labels 0..m−1 in order of first appearance, so that equal groupings get equal labels.
+    (n,) labels 0..m−1 in order of first appearance, so that equal groupings get equal labels. An affinity of lower
+    rank than the count gives fewer groups: what lies beyond its rank is rounding, not structure.
 
     Source: Ng, Jordan and Weiss 2002; the eigengap rule as in von Luxburg 2007.
     """
@@ -114,8 +116,10 @@ def spectral_groups(
         low, high = span if span is not None else (2, items - 1)
         low, high = min(low, items - 1), min(high, items - 1)
         gaps = values[low - 1 : high] - values[low : high + 1]
-        count = low + int(np.argmax(gaps))
-    count = min(count, items)
+        count = low + int(np.argmax(gaps)) if gaps.max() > _ROUNDING else 1
+    count = min(count, int(np.count_nonzero(values > _ROUNDING)))
+    if count < 2:
+        return np.zeros(items, dtype=np.int64)
     rows = vectors[:, :count]
     norms = np.linalg.norm(rows, axis=1, keepdims=True)
     labels = kmeans(rows / np.maximum(norms, 1e-12), count, rng)

@@ -11,7 +11,8 @@ many trailing directions as together hold at most that root mean square per coor
 tracks). With ``noise`` > 0 the singular values are also shrunk optimally for that noise level, cell by cell: a local
 linear subspace whose dimension the data choose.
 
-P enters in three passes, each by chunks: :func:`measure`, :func:`compress` and :meth:`CompressedTracks.expand`.
+P enters in four passes, each by chunks: :func:`measure`, :func:`track_coordinates` (for the cells), :func:`compress`
+and :meth:`CompressedTracks.expand`.
 """
 
 from __future__ import annotations

@@ -129,6 +129,8 @@ def reconstruct(
     if progress is True:
         with TerminalProgress() as line:
             return _run(tracks, solver, known, int(seed), line, pipeline, camera, own)
+    if not callable(progress) and progress is not False:
+        raise InputError(f"progress must be true, false or a function of (stage, fraction), received {progress!r}")
     report = progress if callable(progress) else silent
     return _run(tracks, solver, known, int(seed), report, pipeline, camera, own)
 
@@ -231,7 +233,6 @@ def _cameras(
         factor,
         options,
         noise=noise,
-        points=measured.count,
         seed=seed,
         progress=lambda _, fraction: monitor(fraction or 0.0),
     )

@@ -26,6 +26,12 @@ class CameraOptions:
         "mean 1) or 'auto' (free where the tracks show that the size changes, else fixed).",
         choices=("auto", "fixed", "free"),
     )
+    path: str = option(
+        "auto",
+        "Camera path: 'free' (one rotation per frame), 'orbit' (an even turn, R_f = exp(f ω) R₀) or 'auto' (an "
+        "orbit where it explains the tracks as well as free rotations, which then follow it closely).",
+        choices=("auto", "free", "orbit"),
+    )
     mirror: bool = option(
         False, "Return the other of the two solutions that orthographic tracks cannot tell apart (z reversed)."
     )

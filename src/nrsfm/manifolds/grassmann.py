@@ -9,27 +9,33 @@ from __future__ import annotations
 import numpy as np
 
 
-def grassmann_points(blocks: np.ndarray, dimension: int) -> np.ndarray:
+def grassmann_points(blocks: np.ndarray, dimension: int, complete: bool = True) -> np.ndarray:
     """Orthonormal bases (K, d, p) of the ``dimension`` leading left singular vectors of each (d, n) block.
 
     ``blocks`` is (K, d, n); columns may be padded with zeros. Where a block has lower rank than ``dimension`` the
     basis is completed by fixed directions orthogonal to it, so that it is always a point of G(p, d).
+    With ``complete`` false its last columns are zero instead: a subspace of lower dimension, the same in any
+    orthonormal coordinates of the ambient space.
     Source: f_g of the paper, [Φ, Σ, V] = svds(X, p), here by the smaller of the two Gram matrices.
     """
     count, ambient, columns = blocks.shape
     if ambient <= columns:
-        return np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))[1][:, :, ::-1][:, :, :dimension]
-    values, right = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)
-    take = min(dimension, columns)
-    values, right = values[:, ::-1][:, :take], right[:, :, ::-1][:, :, :take]
+        values, leading = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))
+        leading = leading * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    else:
+        values, right = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)
+        leading = blocks @ right
+    take = min(dimension, values.shape[1])
+    values = values[:, ::-1]
     bases = np.zeros((count, ambient, dimension))
-    bases[:, :, :take] = blocks @ right
+    bases[:, :, :take] = leading[:, :, ::-1][:, :, :take]
     live = np.zeros((count, dimension), dtype=bool)
-    live[:, :take] = values > 1e-13 * np.maximum(values[:, :1], np.finfo(float).tiny)
+    live[:, :take] = values[:, :take] > 1e-10 * np.maximum(values[:, :1], np.finfo(float).tiny)
     filler = np.eye(ambient, dimension)
     bases = np.where(live[:, None, :], bases, filler * np.sqrt(np.maximum(values[:, :1, None], 1.0)))
     # QR restores orthonormality to rounding and keeps the span of the leading columns.
-    return np.linalg.qr(bases)[0]
+    bases = np.linalg.qr(bases)[0]
+    return bases if complete else bases * live[:, None, :]
 
 
 def projection_kernel(points: np.ndarray) -> np.ndarray:

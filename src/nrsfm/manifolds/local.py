@@ -24,10 +24,10 @@ class ColumnCells:
     def __len__(self) -> int:
         return len(self.offsets) - 1
 
-    def points(self, matrix: np.ndarray, dimension: int) -> np.ndarray:
-        """Grassmann points (K, d, p) of the cells of a (d, N) matrix: f_g."""
+    def points(self, matrix: np.ndarray, dimension: int, complete: bool = True) -> np.ndarray:
+        """Grassmann points (K, d, p) of the cells of a (d, N) matrix: f_g; see :func:`grassmann_points`."""
         blocks = matrix[:, self._table] * self._mask
-        return grassmann_points(np.ascontiguousarray(blocks.transpose(1, 0, 2)), dimension)
+        return grassmann_points(np.ascontiguousarray(blocks.transpose(1, 0, 2)), dimension, complete)
 
     def truncate(self, matrix: np.ndarray, dimensions: np.ndarray) -> np.ndarray:
         """Best rank-``dimensions[k]`` approximation of each cell of a (d, N) matrix."""

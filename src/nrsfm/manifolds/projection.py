@@ -49,9 +49,9 @@ def lower(points: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Θ_i (K, d̃, p) = the orthonormal factor of ΔᵀΦ_i, and Ω_i = Φ_i U_i⁻¹ (K, d, p)."""
     small = delta.T @ points
     theta, upper = np.linalg.qr(small)
-    # A subspace that Δ flattens has no image on G(p, d̃); a tiny ridge keeps Ω finite there.
+    # A subspace that Δ flattens has no image on G(p, d̃); a floor, relative to all subspaces, keeps Ω finite there.
     diagonal = np.einsum("kii->ki", upper)
-    floor = 1e-8 * np.maximum(np.abs(diagonal).max(axis=1, keepdims=True), 1e-300)
+    floor = 1e-6 * max(float(np.abs(diagonal).max()), np.finfo(float).tiny)
     diagonal[...] = np.where(np.abs(diagonal) < floor, np.copysign(floor, diagonal), diagonal)
     omega = np.linalg.solve(upper.transpose(0, 2, 1), points.transpose(0, 2, 1)).transpose(0, 2, 1)
     return theta, omega
@@ -77,9 +77,7 @@ def _span(points: np.ndarray) -> np.ndarray:
     return vectors[:, values > 1e-9 * values[-1]][:, ::-1]
 
 
-def project(
-    points: np.ndarray, graph: np.ndarray, dimension: int, delta: np.ndarray | None = None, rounds: int = 2
-) -> Projection:
+def project(points: np.ndarray, graph: np.ndarray, dimension: int, rounds: int = 2) -> Projection:
     """Solve for Δ and project the Grassmann points.
 
     Parameters
@@ -90,18 +88,16 @@ def project(
         w (K, K), symmetric, non-negative.
     dimension
         d̃, at least p.
-    delta
-        Δ of the last call (d, d̃'), the start; ``None`` starts from the leading principal directions of all Φ.
     rounds
         Eigenproblems solved, each with ΔΔᵀ and U_i from the one before.
+
+    Every call starts from the leading principal directions of all Φ. Started from the Δ of the call before, the held
+    U_i let the scales of Δ's directions drift apart from round to round, until whole subspaces are flattened.
     """
     span = _span(points)
     dimension = min(dimension, span.shape[1])
     inner = span.T @ points
-    if delta is None or delta.shape[1] != dimension:
-        small = np.eye(span.shape[1], dimension)
-    else:
-        small = span.T @ delta
+    small = np.eye(span.shape[1], dimension)
     degree = graph.sum(axis=1)
     laplacian = np.diag(degree) - graph
     energies = []
@@ -118,9 +114,9 @@ def project(
         _, vectors = eigh(
             (bending + bending.T) / 2,
             (metric + metric.T) / 2 + ridge * np.eye(len(metric)),
-            subset_by_index=(0, dimension - 1),
+            driver="gvd",  # the drivers for a subset of eigenvectors can fail to converge
             check_finite=False,
         )
-        small = vectors / np.sqrt(dimension)  # eigenvectors are X-orthonormal: tr(ΔᵀXΔ) = 1 after this
+        small = vectors[:, :dimension] / np.sqrt(dimension)  # eigenvectors are X-orthonormal: tr(ΔᵀXΔ) = 1 after this
     theta, _ = lower(inner, small)
     return Projection(span @ small, theta, tuple(energies), dimension)

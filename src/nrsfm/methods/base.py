@@ -112,7 +112,7 @@ class LowRankOptions:
     beta: float | None = option(
         None,
         "First penalty of the multiplier method. Default: the value at which the first threshold equals the largest "
-        "singular value, so that γ alone, not the schedule, decides the answer.",
+        "singular value, so that γ, far more than the schedule, decides the answer.",
         symbol="β",
         above=0,
     )

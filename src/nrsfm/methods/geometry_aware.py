@@ -37,29 +37,32 @@ class GeometryAwareOptions(SpatialOptions):
         maximum=1,
     )
     lower_dimension: int | None = option(
-        None, "Dimension of the lower space. Default: from τ, never below p.", symbol="d̃", minimum=1
+        None, "Dimension of the lower space. Default: from τ, at least p + 1.", symbol="d̃", minimum=1
     )
     beta1: float = option(1e-3, "Weight of the self-expression.", symbol="β₁", above=0)
     beta3: float = option(1e-3, "Weight of the nuclear norm of C̃.", symbol="β₃", above=0)
 
 
 class LowerManifold:
-    """f_h: Grassmann points of the cells, projected to G(p, d̃); keeps Δ from call to call."""
+    """f_h: Grassmann points of the cells, projected to G(p, d̃)."""
 
     def __init__(self, spatial: SpatialSubspaces, options: GeometryAwareOptions) -> None:
         self.dimension: int | None = None
         self._spatial, self._options = spatial, options
-        self._delta: np.ndarray | None = None
 
     def kernel(self, shapes: np.ndarray) -> np.ndarray:
         """Γ of the projected points Θ; of the points Φ themselves where the projection is off."""
         points = self._spatial.grassmann_points(shapes)
         if not self._options.projection:
             return projection_kernel(points)
-        wanted = self._options.lower_dimension or reduced_dimension(points, self._options.tau)
-        wanted = max(wanted, self._spatial.dimension)
-        result = project(points, similarity_graph(points), wanted, self._delta)
-        self._delta, self.dimension = result.delta, result.dimension
+        least = self._spatial.dimension
+        if self._options.lower_dimension is not None:
+            wanted = max(self._options.lower_dimension, least)
+        else:
+            # At d̃ = p every Θ_i spans the whole lower space and all subspaces look alike.
+            wanted = max(reduced_dimension(points, self._options.tau), least + 1)
+        result = project(points, similarity_graph(points), wanted)
+        self.dimension = result.dimension
         return projection_kernel(result.points)
 
 

@@ -88,7 +88,8 @@ class TemporalSubspaces:
 
     def grassmann_points(self, shapes: np.ndarray) -> np.ndarray:
         """Φ_t (K_t, 3N, p_t)."""
-        return self.cells.points(self._matrix(shapes), self.dimension)
+        # Not completed: fixed directions among virtual points are not those among the real ones.
+        return self.cells.points(self._matrix(shapes), self.dimension, complete=False)
 
     def refine(self, shapes: np.ndarray) -> np.ndarray:
         """S♯ with every group of frames brought to rank p_t."""
@@ -106,7 +107,10 @@ class TemporalSubspaces:
     def regroup(self, affinity: np.ndarray) -> None:
         """P_t ← f_p(ξ_t, C_t, P_t)."""
         if self._options.grouping and len(self.cells) > 2:
-            self._set_groups(spectral_groups(affinity, self._rng, self._options.temporal_groups))
+            groups = spectral_groups(affinity, self._rng, self._options.temporal_groups)
+            # As in space: an affinity that tells nothing apart leaves the groups as they are.
+            if groups.max() > 0 or self._options.temporal_groups == 1:
+                self._set_groups(groups)
 
 
 class _SelfExpressed:

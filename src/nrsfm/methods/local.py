@@ -122,5 +122,7 @@ class SpatialSubspaces:
             return
         span = (max(2, cells // 5), max(2, cells // 2))
         groups = spectral_groups(affinity, self._rng, self._options.spatial_groups, span)
-        if not np.array_equal(groups, self.groups):
+        # One group that was not asked for: the affinity (still) tells nothing apart, and the groups stay.
+        told = groups.max() > 0 or self._options.spatial_groups == 1
+        if told and not np.array_equal(groups, self.groups):
             self._set_groups(groups)

@@ -1,0 +1,113 @@
+"""``docs/results.md``: every kept number, beside its target, written by rules."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+from benchmarks import ablation, accuracy, mocap, quiet, real, scaling, speed, start, store
+from benchmarks.tables import NO, YES, Check, Fact, table
+
+SECTIONS: dict[str, ModuleType] = {
+    "accuracy": accuracy,
+    "real": real,
+    "mocap": mocap,
+    "speed": speed,
+    "scaling": scaling,
+    "start": start,
+    "ablation": ablation,
+}
+
+
+def section_lines(name: str, kept: dict[str, Any]) -> list[str]:
+    """One section as Markdown, with what it was measured with."""
+    module = SECTIONS[name]
+    return [f"## {module.TITLE}", "", f"Measured {kept['date']}.", "", *module.render(kept["values"])]
+
+
+def write_page() -> tuple[list[Check | Fact], dict[str, str]]:
+    """Write the page from what is kept; return the targets that were missed, and the runs that failed."""
+    from nrsfm.files.atomic import atomic_file
+
+    kept = {name: found for name in SECTIONS if (found := store.read(name)) is not None}
+    found = {name: SECTIONS[name].checks(kept[name]["values"]) for name in kept}
+    lines = [
+        "# Results",
+        "",
+        "Written by `make bench` (`python -m benchmarks`); do not edit. Every number was measured, with one set of",
+        "defaults for every row; nothing was set by the name of a sequence. ✓ and ✗ compare the unrounded number with",
+        "its target.",
+        "",
+        *_machines(kept),
+        *_summary(kept, found),
+    ]
+    for name in SECTIONS:
+        if name in kept:
+            lines += section_lines(name, kept[name])
+        else:
+            lines += [f"## {SECTIONS[name].TITLE}", "", "**Not measured yet.**", ""]
+    with atomic_file(store.PAGE) as stream:
+        stream.write(("\n".join(lines).rstrip() + "\n").encode())
+    missed = [check for checks in found.values() for check in checks if not check.passed]
+    return missed, _errors(kept)
+
+
+def _machines(kept: dict[str, Any]) -> list[str]:
+    """Each machine that something was measured on, and whether all of it was the same code."""
+    by_machine: dict[str, list[str]] = {}
+    for name, section in kept.items():
+        m = section["machine"]
+        text = (
+            f"{m['cores']} cores of {m['processor']}, {m['memory_gib']:g} GiB memory, {m['system']}; "
+            f"nrsfm {m['nrsfm']}, Python {m['python']}, NumPy {m['numpy']} with {m['blas']}, SciPy {m['scipy']}."
+        )
+        by_machine.setdefault(text, []).append(name)
+    lines = []
+    for text, names in by_machine.items():
+        whose = "Machine" if len(by_machine) == 1 else f"Machine for {', '.join(names)}"
+        lines += [f"{whose}: {text}", ""]
+    current = store.code_digest()
+    digests = {name: _digests(section) for name, section in kept.items()}
+    stale = [name for name, found in digests.items() if found != {current}]
+    if stale:
+        lines += [f"**Measured with an earlier state of the code: {', '.join(stale)}.**", ""]
+    return lines
+
+
+def _digests(section: dict[str, Any]) -> set[str]:
+    records = section["values"].get("records")
+    return {section["code"]} if records is None else {record["code"] for record in records.values()}
+
+
+def _summary(kept: dict[str, Any], found: dict[str, list[Check | Fact]]) -> list[str]:
+    rows = []
+    for name, module in SECTIONS.items():
+        checks = found.get(name)
+        if checks is None:
+            rows.append([module.TITLE, "not measured", ""])
+        elif checks:
+            passed = sum(check.passed for check in checks)
+            mark = YES if passed == len(checks) else NO
+            if quiet.disturbed(kept[name]["values"].get("others")):
+                mark += " (measured while other programs ran: not reliable)"
+            rows.append([module.TITLE, f"{passed} of {len(checks)}", mark])
+    lines = ["## Summary", "", *table(["", "targets met", ""], rows)]
+    missed = [check for checks in found.values() for check in checks if not check.passed]
+    if missed:
+        lines += ["Missed:", "", *(f"- {check.what}: {check.cell()}" for check in missed), ""]
+    elif len(kept) == len(SECTIONS):
+        lines += ["No target is missed.", ""]
+    errors = _errors(kept)
+    if errors:
+        lines += ["Runs that ended with an error:", "", *(f"- {key}: {text}" for key, text in errors.items()), ""]
+    return lines
+
+
+def _errors(kept: dict[str, Any]) -> dict[str, str]:
+    """What the runs that raised said, by key."""
+    return {
+        key: record["error"]
+        for section in kept.values()
+        for key, record in section["values"].get("records", {}).items()
+        if "error" in record
+    }
