@@ -41,7 +41,6 @@ def main(words: list[str] | None = None) -> int:
     context = store.Context(given.jobs, tuple(given.only), given.fresh)
     outcomes = {name: _run(name, context) for name in wanted}
     missed, errors = write_page()
-    store.say(f"{store.PAGE.relative_to(store.ROOT)} is written")
     for check in missed:
         store.say(f"missed: {check.what}: {check.cell()}")
     for outcome in outcomes.values():

@@ -26,7 +26,10 @@ def section_lines(name: str, kept: dict[str, Any]) -> list[str]:
 
 
 def write_page() -> tuple[list[Check | Fact], dict[str, str]]:
-    """Write the page from what is kept; return the targets that were missed, and the runs that failed."""
+    """Write the page from what is kept; return the targets that were missed, and the runs that failed.
+
+    A page with a section missing goes to ``bench-output/``, so that it does not replace a complete one.
+    """
     from nrsfm.files.atomic import atomic_file
 
     kept = {name: found for name in SECTIONS if (found := store.read(name)) is not None}
@@ -46,8 +49,11 @@ def write_page() -> tuple[list[Check | Fact], dict[str, str]]:
             lines += section_lines(name, kept[name])
         else:
             lines += [f"## {SECTIONS[name].TITLE}", "", "**Not measured yet.**", ""]
-    with atomic_file(store.PAGE) as stream:
+    path = store.PAGE if len(kept) == len(SECTIONS) else store.OUTPUT / store.PAGE.name
+    with atomic_file(path) as stream:
         stream.write(("\n".join(lines).rstrip() + "\n").encode())
+    missing = [name for name in SECTIONS if name not in kept]
+    store.say(f"{path.relative_to(store.ROOT)} is written{', without ' if missing else ''}{', '.join(missing)}")
     missed = [check for checks in found.values() for check in checks if not check.passed]
     return missed, _errors(kept)
 

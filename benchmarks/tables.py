@@ -32,7 +32,7 @@ class Check:
         if self.value is None:
             return f"no number {NO}"
         sign = "≤" if self.passed else ">"
-        number, limit = (error, error_limit) if not self.unit else (amount, amount)
+        number, limit = (error, error_limit) if not self.unit else (_fine, amount)
         return f"{number(self.value)}{self.unit} {sign} {limit(self.limit)}{self.unit} {self.mark}"
 
 
@@ -62,6 +62,11 @@ def error(value: float | None) -> str:
 def error_limit(value: float) -> str:
     """A target for a relative error: .064."""
     return f"{value:.3f}".removeprefix("0")
+
+
+def _fine(value: float) -> str:
+    """Four significant digits: one more than a target has, so that a narrow miss can be seen."""
+    return f"{float(f'{value:.4g}'):g}"
 
 
 def amount(value: float | None) -> str:

@@ -4,12 +4,13 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import nrsfm.compression as compression
 from nrsfm.compression import compress, estimate_noise, measure, spectrum, track_coordinates
+from nrsfm.errors import InputError
 
 
 def direct_matrix(points):
@@ -46,14 +47,28 @@ def expanded(points, labels, **how):
 def test_measure_is_the_definition(points, offset):
     points = points + offset
     matrix = direct_matrix(points)
-    measured = measure(points)
     scale = np.abs(matrix).max()
+    assume(scale > 1e-6)
+    measured = measure(points)
     np.testing.assert_allclose(measured.translations, points.mean(axis=1), rtol=1e-12, atol=1e-9)
     rounding = 1e-10 * max(abs(offset), 1.0)  # of the input itself
-    np.testing.assert_allclose(measured.gram * measured.unit**2, matrix @ matrix.T, rtol=0,
-                               atol=matrix.size * (rounding * scale + rounding**2))
+    np.testing.assert_allclose(
+        measured.gram * measured.unit**2, matrix @ matrix.T, rtol=0, atol=matrix.size * (rounding * scale + rounding**2)
+    )
     if scale > 1e-3:
         np.testing.assert_allclose(measured.unit, np.sqrt(np.mean(matrix**2)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("factor", [0.0, 1e-300, 1e-160, 1e-40, 1e40, 1e160, 1e300])
+def test_spreads_beyond_floating_point_are_refused(factor):
+    with pytest.raises(InputError, match="tracks: points must spread about their mean by 1e-35 to 1e"):
+        measure(factor * random_points(0))
+
+
+@pytest.mark.parametrize("factor", [1e-30, 1e30])
+def test_spreads_far_from_one_are_measured(factor):
+    points = random_points(0)
+    np.testing.assert_allclose(measure(factor * points).gram, measure(points).gram, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e4])
@@ -65,9 +80,22 @@ def test_far_away_tracks_lose_nothing(offset):
     np.testing.assert_allclose(far.translations, near.translations + offset, rtol=1e-14)
 
 
+def test_many_points_are_measured_about_their_mean_not_that_of_the_sample():
+    """With more points than the provisional offset looks at."""
+    points = random_points(1, 3, 5000) + np.where(np.arange(5000) % 19 == 0, 0.0, 50.0)[:, None]
+    matrix = direct_matrix(points)
+    measured = measure(points)
+    np.testing.assert_allclose(measured.gram * measured.unit**2, matrix @ matrix.T, rtol=1e-10, atol=1e-6)
+    np.testing.assert_allclose(measured.translations, points.mean(axis=1), rtol=1e-12)
+
+
 @settings(max_examples=60)
 @given(
-    st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(2, 50), st.integers(1, 6), st.sampled_from([None, 1, 2, 3])
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 7),
+    st.integers(2, 50),
+    st.integers(1, 6),
+    st.sampled_from([None, 1, 2, 3]),
 )
 def test_expansion_of_the_virtual_tracks_is_w(seed, frames, count, cells, rank):
     points = random_points(seed, frames, count, 300.0, rank)

@@ -76,9 +76,7 @@ def test_point_first_is_the_transpose_with_flags_negated(size, data):
     assert tracks.n_missing == occluded.sum()
 
 
-@given(
-    size=SIZES, data=st.data(), value=st.sampled_from([np.nan, np.inf, -np.inf]), point_first=st.booleans()
-)
+@given(size=SIZES, data=st.data(), value=st.sampled_from([np.nan, np.inf, -np.inf]), point_first=st.booleans())
 def test_what_is_not_finite_is_allowed_exactly_where_not_visible(size, data, value, point_first):
     frames, count = size
     points = numbers((count, frames, 2)).transpose(1, 0, 2) if point_first else numbers((*size, 2))
@@ -110,9 +108,7 @@ def test_require_complete_counts_what_is_missing(size, data):
     frame, point = np.argwhere(hidden)[0]
     text = str(caught.value)
     assert f"{hidden.sum()} missing of {hidden.size} entries" in text
-    assert (
-        f"in {hidden.any(1).sum()} of {size[0]} frames and {hidden.any(0).sum()} of {size[1]} points" in text
-    )
+    assert f"in {hidden.any(1).sum()} of {size[0]} frames and {hidden.any(0).sum()} of {size[1]} points" in text
     assert f"frame {frame}, point {point}" in text
 
 
@@ -122,9 +118,7 @@ BAD_DTYPES = [np.complex64, np.complex128, bool, object, "U3", "S3", "datetime64
 @given(
     points=st.one_of(
         hnp.arrays(
-            st.sampled_from(
-                [np.float16, np.float32, np.float64, np.int8, np.uint64, *map(np.dtype, BAD_DTYPES)]
-            ),
+            st.sampled_from([np.float16, np.float32, np.float64, np.int8, np.uint64, *map(np.dtype, BAD_DTYPES)]),
             hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4),
         ),
         st.none(),
@@ -224,9 +218,7 @@ def test_the_first_bad_point_is_found_across_chunks_in_both_orders(monkeypatch):
     monkeypatch.setattr(module, "_CHUNK", 8)
     for points in (numbers((7, 5, 2)), numbers((5, 7, 2)).transpose(1, 0, 2), numbers((2, 5, 7)).T):
         points[2, 4, 1] = points[5, 0, 0] = points[5, 0, 1] = np.nan
-        with pytest.raises(
-            InputError, match=r"received 3 .* in 2 of 35 entries, the first at frame 2, point 4"
-        ):
+        with pytest.raises(InputError, match=r"received 3 .* in 2 of 35 entries, the first at frame 2, point 4"):
             Tracks(points)
 
 
@@ -243,9 +235,7 @@ def test_the_check_makes_no_copy_of_large_tracks():
 
 
 def test_an_odd_number_of_rows_is_refused():
-    with pytest.raises(
-        InputError, match=r"W: an even number of rows is needed, received 5 rows \(shape \(5, 4\)\)"
-    ):
+    with pytest.raises(InputError, match=r"W: an even number of rows is needed, received 5 rows \(shape \(5, 4\)\)"):
         Tracks.from_measurement_matrix(np.zeros((5, 4)))
     with pytest.raises(InputError, match="S: a number of rows that is a multiple of 3 is needed, received 4"):
         shapes_from_matrix(np.zeros((4, 4)))

@@ -22,9 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nrsfm.errors import InputError
 from nrsfm.numerics.noise import noise_from_neighbours, noise_from_spectrum, shrink_singular_values
 
-_CHUNK_BYTES = 16 * 2**20  # float64 working copy of a chunk of tracks
+_CHUNK_BYTES = 4 * 2**20  # float64 working copy of a chunk of tracks
+_LARGEST = 1e35  # spread of the tracks; shapes of that size still fit into float32
 _ROUNDING = 1e-7  # relative singular values below it are rounding in a float64 Gram matrix
 
 
@@ -73,22 +75,29 @@ def measure(points: np.ndarray) -> Measurements:
     """First pass over the points: row means, unit and Gram matrix of the centred W.
 
     A provisional offset, the mean of a sample, is taken off first, so that far-away tracks lose no digits.
+
+    Raises ``InputError`` where the points do not spread, or spread so little or so far that squares of coordinates
+    leave the range of floating-point numbers.
     """
     frames, count, _ = points.shape
-    sample = points[:, :: max(1, count // 256)].astype(np.float64)
-    offset = sample.mean(axis=1)
     total = np.zeros(2 * frames)
     gram = np.zeros((2 * frames, 2 * frames))
-    for part in _chunks(frames, count):
-        block = np.moveaxis(points[:, part], 2, 1).astype(np.float64, order="C")
-        block -= offset[:, :, None]
-        rows = block.reshape(2 * frames, -1)
-        total += rows.sum(axis=1)
-        gram += rows @ rows.T
-    mean = total / count
-    gram -= count * np.outer(mean, mean)
-    unit = float(np.sqrt(max(np.trace(gram), 0.0) / (2 * frames * count)))
-    unit = unit if unit > 0 else 1.0
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
+        offset = points[:, :: max(1, count // 256)].astype(np.float64).mean(axis=1)
+        for part in _chunks(frames, count):
+            block = np.moveaxis(points[:, part], 2, 1).astype(np.float64, order="C")
+            block -= offset[:, :, None]
+            rows = block.reshape(2 * frames, -1)
+            total += rows.sum(axis=1)
+            gram += rows @ rows.T
+        mean = total / count
+        gram -= count * np.outer(mean, mean)
+        unit = float(np.sqrt(max(np.trace(gram), 0.0) / (2 * frames * count)))
+    if not 1 / _LARGEST <= unit <= _LARGEST:  # also where it is not a number
+        raise InputError(
+            f"tracks: points must spread about their mean by {1 / _LARGEST:g} to {_LARGEST:g} (root mean square), "
+            f"received {unit:.3g}"
+        )
     return Measurements(points, offset + mean.reshape(frames, 2), unit, gram / unit**2)
 
 

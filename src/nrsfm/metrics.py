@@ -77,8 +77,8 @@ def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.
 
     Returns
     -------
-    (F,) errors. A frame whose true shape is a single point gives 0 where the estimate is one too, else infinity;
-    a frame without any valid point gives NaN.
+    (F,) errors. A frame whose true shape is a single point gives 0 where the estimate is one too, else infinity
+    (under ``"similarity"`` 0: the best scale is 0); a frame without any valid point gives NaN.
 
     Source: the paper's equation for e3D.
     """

@@ -60,6 +60,13 @@ def field_types(cls: type) -> dict[str, tuple[type, bool]]:
     return result
 
 
+def _finite(value: numbers.Real) -> bool:
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:  # a whole number beyond the largest float
+        return False
+
+
 def _checked(field: dataclasses.Field[Any], kind: type, optional: bool, value: Any) -> Any:
     name, rule = field.name, field.metadata
     if value is None:
@@ -67,7 +74,7 @@ def _checked(field: dataclasses.Field[Any], kind: type, optional: bool, value: A
             return None
         raise OptionError(f"option '{name}': a value of type {kind.__name__} is needed, received None")
     if kind is bool:
-        if not (isinstance(value, bool) or type(value).__name__ == "bool_"):
+        if type(value).__name__ not in ("bool", "bool_"):  # NumPy's own is called one or the other
             raise OptionError(f"option '{name}' must be true or false, received {value!r}")
         return bool(value)
     if kind is int:
@@ -75,8 +82,8 @@ def _checked(field: dataclasses.Field[Any], kind: type, optional: bool, value: A
             raise OptionError(f"option '{name}' must be a whole number, received {value!r}")
         value = int(value)
     elif kind is float:
-        if isinstance(value, bool) or not isinstance(value, numbers.Real) or math.isnan(value):
-            raise OptionError(f"option '{name}' must be a number, received {value!r}")
+        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not _finite(value):
+            raise OptionError(f"option '{name}' must be a finite number, received {value!r}")
         value = float(value)
     elif kind is str:
         if not isinstance(value, str):

@@ -15,7 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from nrsfm.cameras import CameraEstimate, CameraOptions, cameras_from_known, estimate_cameras
+from nrsfm.cameras import (
+    CameraEstimate,
+    CameraOptions,
+    cameras_from_known,
+    choose_mirror,
+    estimate_cameras,
+    mirrored,
+)
 from nrsfm.clustering import kmeans
 from nrsfm.compression import (
     CompressedTracks,
@@ -38,6 +45,7 @@ from nrsfm.tracks import Tracks
 
 logger = logging.getLogger(__name__)
 
+_MIRROR_POINTS = 5_000  # at most about so many points tell which way the shape bulges
 _COORDINATES = 10  # leading track coordinates in which cells and neighbours are found
 
 
@@ -55,7 +63,7 @@ class PipelineOptions:
     denoise: bool = option(
         True, "Shrink the singular values of every cell optimally for the noise level while compressing."
     )
-    noise: float | None = option(
+    noise_level: float | None = option(
         None,
         "Standard deviation of the tracks' noise, in their unit. Default: estimated from the tracks.",
         minimum=0,
@@ -158,6 +166,7 @@ def _run(
     # The cells' eigenproblems are small: threads would cost more than they give.
     with stages("compression"), single_thread():
         labels = kmeans(coordinates, method.cells(own, measured.count, measured.frames), rng)
+        del coordinates  # as large as a tenth of short tracks, and not needed again
         compressed = compress(measured, labels, noise=noise if pipeline.denoise else 0.0, tolerance=pipeline.tolerance)
     with stages(method.name) as monitor, single_thread():
         problem = Problem(
@@ -171,12 +180,18 @@ def _run(
     with stages("expansion"):
         shapes = compressed.expand(solution.shapes, np.dtype(pipeline.precision))
     warnings = [*cameras.warnings, *solution.warnings]
+    rotations, mirror = cameras.rotations, None
+    if known is None:
+        with stages("mirror"):
+            rotations, mirror = _mirror(rotations, shapes, camera.mirror, warnings)
+    elif camera.mirror:
+        warnings.append("mirror is ignored: known cameras leave one solution")
     for text in warnings:
         logger.warning(text)
     groups = None if solution.groups is None else solution.groups[labels]
     return Reconstruction(
         shapes=shapes,
-        rotations=cameras.rotations,
+        rotations=rotations,
         translations=measured.translations,
         scales=cameras.scales,
         groups=groups,
@@ -187,7 +202,7 @@ def _run(
             "seconds": stages.seconds,
             "noise": noise * measured.unit,
             "compression": _compression_report(compressed),
-            "cameras": _camera_report(cameras, known is not None),
+            "cameras": {"known": True} if mirror is None else _camera_report(cameras, mirror),
             "chosen": solution.chosen,
             "warnings": warnings,
         },
@@ -204,8 +219,8 @@ def _noise_level(
     rng: np.random.Generator,
 ) -> float:
     """Noise in units of the tracks' rms: as told, or estimated; 0 below the tolerance."""
-    if options.noise is not None:
-        level = options.noise / measured.unit
+    if options.noise_level is not None:
+        level = options.noise_level / measured.unit
     else:
         level = estimate_noise(measured, values, coordinates, rng)
     # Noise that the compression may cut anyway is none: exact tracks stay exactly compressed.
@@ -250,7 +265,28 @@ def _compression_report(compressed: CompressedTracks) -> dict[str, Any]:
     }
 
 
-def _camera_report(cameras: CameraEstimate, known: bool) -> dict[str, Any]:
-    if known:
-        return {"known": True}
-    return {"known": False, "rank": cameras.rank, "turn": cameras.turn, "candidates": cameras.candidates}
+def _mirror(
+    rotations: np.ndarray, shapes: np.ndarray, other: bool, warnings: list[str]
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Put rotations and shapes (in place) into the conventional one of the two mirror images, or the other one."""
+    report = choose_mirror(rotations, shapes[:, :: max(1, shapes.shape[1] // _MIRROR_POINTS)], mirror=other)
+    if not report["decided"]:
+        warnings.append(
+            "which of the two mirror images is shown is arbitrary: orthographic tracks cannot tell, and the shape "
+            "bulges neither way (option mirror gives the other one)"
+        )
+    if report["flip"]:
+        shapes[..., 2] *= -1
+        rotations = mirrored(rotations)
+    return rotations, report
+
+
+def _camera_report(cameras: CameraEstimate, mirror: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "known": False,
+        "rank": cameras.rank,
+        "path": cameras.path,
+        "turn": cameras.turn,
+        "candidates": cameras.candidates,
+        "mirror": mirror,
+    }

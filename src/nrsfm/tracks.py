@@ -192,9 +192,7 @@ def _matrix(value: Any, name: str, rows_per_frame: int) -> np.ndarray:
     if matrix.ndim != 2:
         raise InputError(f"{name}: a matrix {needed} is needed, received shape {matrix.shape}")
     if matrix.size == 0:
-        raise InputError(
-            f"{name}: at least one frame and one point are needed, received shape {matrix.shape}"
-        )
+        raise InputError(f"{name}: at least one frame and one point are needed, received shape {matrix.shape}")
     if matrix.shape[0] % rows_per_frame:
         rule = "an even number of rows" if rows_per_frame == 2 else "a number of rows that is a multiple of 3"
         raise InputError(f"{name}: {rule} is needed, received {matrix.shape[0]} rows (shape {matrix.shape})")

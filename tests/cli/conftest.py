@@ -28,7 +28,7 @@ class GroupedOptions(PlainOptions):
 
 @dataclass(frozen=True)
 class CameraOptions:
-    cameras: str = option("intersection", "Estimator.", choices=("intersection", "rigid"))
+    camera_method: str = option("intersection", "Estimator.", choices=("intersection", "rigid"))
     mirror: bool = option(False, "The other solution.")
 
 

@@ -92,6 +92,5 @@ def test_help_shows_symbol_default_and_text():
     assert "{rigid,conic}" in text
 
 
-def test_a_field_whose_spelling_is_taken_has_another():
-    assert flag_of("cameras") == "--camera-method"
+def test_a_flag_is_spelled_like_its_field():
     assert flag_of("max_rank") == "--max-rank"

@@ -43,7 +43,7 @@ def test_configuration_records_everything(command, pipeline, tracks_file, tmp_pa
         "tolerance": 1e-3,
         "subspaces": 5,
         "spatial": True,
-        "cameras": "rigid",
+        "camera_method": "rigid",
         "mirror": False,
         "shift": 0.0,
     }
@@ -119,7 +119,7 @@ def test_log_has_the_command_the_stages_and_the_warnings(command, pipeline, trac
         (["--tolerance", "0"], "option 'tolerance' must be greater than 0"),
         (
             ["--camera-method", "guess"],
-            "option 'cameras' must be one of intersection, rigid, received 'guess'",
+            "option 'camera_method' must be one of intersection, rigid, received 'guess'",
         ),
         (["--seed", "-1"], "option '--seed' must be at least 0, received -1"),
         (["--threads", "0"], "option '--threads' must be at least 1, received 0"),

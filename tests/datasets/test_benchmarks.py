@@ -105,9 +105,7 @@ def test_windows_keep_the_points_of_the_first_frame(tmp_path, parts, caplog):
 def test_windows_by_name(tmp_path):
     columns, rows = np.meshgrid(np.arange(0, 640), np.arange(0, 480))
     first = np.stack([columns.ravel(), rows.ravel()])
-    scipy.io.savemat(
-        tmp_path / "a.mat", {"W": np.concatenate([first, first + 1, first + 2]).astype(np.float32)}
-    )
+    scipy.io.savemat(tmp_path / "a.mat", {"W": np.concatenate([first, first + 1, first + 2]).astype(np.float32)})
     sequence = load_benchmark_mat(tmp_path / "a.mat", window="kinect-paper")
     assert sequence.tracks.n_points == (508 - 253 + 1) * (363 - 132 + 1)
     assert KINECT_WINDOWS["kinect-tshirt"].frames == 313

@@ -34,9 +34,7 @@ def folder(tmp_path):
         tmp_path / "ict_face_model.npz",
         neutral=generator.random((8, 3)), expr=generator.random((2, 8, 3)), quads=quads, n_narrow=6, n_face=7,
     )  # fmt: skip
-    np.savez(
-        tmp_path / "ict_sequences.npz", weights_rom99=generator.random((5, 2)), rotations_rom99=turning(5)
-    )
+    np.savez(tmp_path / "ict_sequences.npz", weights_rom99=generator.random((5, 2)), rotations_rom99=turning(5))
     np.savez(
         tmp_path / "ict_livelink_rom_coeffs.npz",
         alex_rom_3=generator.random((9, 2)), alex_rom_4=generator.random((8, 2)),
@@ -54,9 +52,7 @@ def test_faces_are_mixtures_seen_by_turning_cameras(folder):
     for f in range(5):
         shape = sum(w * p for w, p in zip(motion["weights_3"][f].astype(float), model["poses"], strict=True))
         np.testing.assert_allclose(sequence.shapes[f], shape, rtol=1e-12)
-        np.testing.assert_allclose(
-            sequence.tracks.points[f], shape @ motion["rotations_3"][f][:2].T, rtol=1e-9
-        )
+        np.testing.assert_allclose(sequence.tracks.points[f], shape @ motion["rotations_3"][f][:2].T, rtol=1e-9)
     assert sequence.tracks.points.dtype == np.float64
     assert datasets.load("face-seq3", folder, dtype="float32").tracks.points.dtype == np.float32
 

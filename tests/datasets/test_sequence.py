@@ -19,9 +19,7 @@ def test_noise_has_the_stated_deviation_and_repeats_with_its_seed():
     noise = add_noise(tracks, 0.03, seed=1).points - tracks.points
     assert noise.std() == pytest.approx(0.03 * np.abs(centred).max(), rel=0.02)
     assert abs(noise.mean()) < 0.02 * noise.std()
-    np.testing.assert_array_equal(
-        add_noise(tracks, 0.03, seed=1).points, add_noise(tracks, 0.03, seed=1).points
-    )
+    np.testing.assert_array_equal(add_noise(tracks, 0.03, seed=1).points, add_noise(tracks, 0.03, seed=1).points)
     assert not np.allclose(add_noise(tracks, 0.03, seed=2).points, add_noise(tracks, 0.03, seed=1).points)
     assert add_noise(tracks, 0) is tracks
 
@@ -31,9 +29,7 @@ def test_noise_follows_the_unit_and_not_the_place(shift, scale):
     tracks = made(4, 5)
     noise = add_noise(tracks, 0.05).points - tracks.points
     moved = Tracks(tracks.points * scale + shift)
-    np.testing.assert_allclose(
-        add_noise(moved, 0.05).points - moved.points, noise * scale, rtol=1e-6, atol=1e-9
-    )
+    np.testing.assert_allclose(add_noise(moved, 0.05).points - moved.points, noise * scale, rtol=1e-6, atol=1e-9)
 
 
 def test_noise_ignores_what_is_not_seen_and_keeps_the_dtype():

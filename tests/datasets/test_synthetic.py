@@ -46,9 +46,7 @@ def test_sizes_and_projection(make, frames, points, camera, seed, deformation, z
     np.testing.assert_allclose(s.rotations @ s.rotations.transpose(0, 2, 1), eye, atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(s.rotations), 1.0, atol=1e-12)
     seen = np.einsum("fij,fpj->fpi", s.rotations[:, :2], s.shapes)
-    np.testing.assert_allclose(
-        s.tracks.points, s.scales[:, None, None] * seen + s.translations[:, None], atol=1e-9
-    )
+    np.testing.assert_allclose(s.tracks.points, s.scales[:, None, None] * seen + s.translations[:, None], atol=1e-9)
     assert s.faces.ndim == 2
     assert s.faces.shape[1] == 3
     assert s.faces.min() >= 0

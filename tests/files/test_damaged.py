@@ -170,9 +170,7 @@ def test_pickled_objects_are_never_unpickled(tmp_path):
 
 def test_a_header_that_promises_more_than_the_file_holds(tmp_path):
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        header, {"descr": "<f8", "fortran_order": False, "shape": (10**6, 10**6)}
-    )
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**6, 10**6)})
     (tmp_path / "a.npy").write_bytes(header.getvalue() + b"\0" * 64)
     with pytest.raises(FileError, match="should have 8000000000000 bytes, the file holds 64"):
         load_tracks(tmp_path / "a.npy")

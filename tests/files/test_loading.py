@@ -225,9 +225,7 @@ def test_flags_of_another_size_are_refused(tmp_path):
     np.savez(tmp_path / "a.npz", tracks=numbers((F, P, 2)), visible=np.ones((P, F), bool))
     with pytest.raises(FileError, match=r"visible: shape \(5, 7\) is needed"):
         load_tracks(tmp_path / "a.npz")
-    np.savez(
-        tmp_path / "a.npz", points=numbers((P, F, 2)), occluded=np.ones((P, F), bool), visible=np.ones((P, F))
-    )
+    np.savez(tmp_path / "a.npz", points=numbers((P, F, 2)), occluded=np.ones((P, F), bool), visible=np.ones((P, F)))
     with pytest.raises(FileError, match="one array of flags"):
         load_tracks(tmp_path / "a.npz")
 

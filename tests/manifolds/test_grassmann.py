@@ -86,6 +86,15 @@ def test_a_cell_of_low_rank_is_completed_alike_from_few_and_many_columns(rank):
     np.testing.assert_allclose(many @ many.T, few @ few.T, atol=1e-9)
 
 
+@pytest.mark.parametrize("complete", [True, False])
+@pytest.mark.parametrize("columns", [2, 7])
+def test_the_whole_space_is_the_largest_subspace(complete, columns):
+    blocks = np.random.default_rng(0).standard_normal((2, 3, columns))
+    points = grassmann_points(blocks, 5, complete)
+    assert points.shape == (2, 3, 3)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=(1, 2)) ** 2, 3 if complete or columns > 2 else 2)
+
+
 @pytest.mark.parametrize("rank", [0, 1, 2])
 def test_an_incomplete_point_follows_the_coordinates(rank):
     rng = np.random.default_rng(rank)

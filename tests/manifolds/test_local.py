@@ -1,5 +1,7 @@
 """Cells of columns, groups of cells, and their best low-rank approximations."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -36,7 +38,7 @@ def test_points_see_their_own_columns_only(seed, sizes, rows, dimension):
     matrix = rng.standard_normal((rows, offsets[-1]))
     dimension = min(dimension, rows)
     points = ColumnCells(offsets).points(matrix, dimension)
-    for k, (a, b) in enumerate(zip(offsets[:-1], offsets[1:], strict=True)):
+    for k, (a, b) in enumerate(itertools.pairwise(offsets)):
         full = min(dimension, b - a)
         expected = np.linalg.svd(matrix[:, a:b])[0][:, :full]
         np.testing.assert_allclose(points[k] @ (points[k].T @ expected), expected, atol=1e-6)

@@ -17,7 +17,7 @@ def random_points(seed, count, ambient, dimension, spread=1.0):
 
 def by_the_definition(points, dimension):
     """X, Y, start Δ and Λ-energy at the start, by loops over pairs of d×d matrices as the paper writes them."""
-    count, ambient, p = points.shape
+    count, ambient, _ = points.shape
     stacked = points.transpose(1, 0, 2).reshape(ambient, -1)
     start = np.linalg.svd(stacked)[0][:, :dimension]
     omega = []

@@ -27,9 +27,7 @@ def test_coefficient_step_is_the_least_squares_minimiser(seed, count, weight, pe
     auxiliary, multiplier = rng.standard_normal((2, count, count))
     factor = np.linalg.cholesky(kernel)
     rows = np.concatenate([np.sqrt(2 * weight) * factor.T, np.sqrt(penalty) * np.eye(count)])
-    wanted = np.concatenate(
-        [np.sqrt(2 * weight) * factor.T, np.sqrt(penalty) * (auxiliary - multiplier / penalty).T]
-    )
+    wanted = np.concatenate([np.sqrt(2 * weight) * factor.T, np.sqrt(penalty) * (auxiliary - multiplier / penalty).T])
     expected = np.linalg.lstsq(rows, wanted, rcond=None)[0].T
     got = coefficient_step(kernel, auxiliary, multiplier, weight, penalty)
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6 * max(1, np.abs(expected).max()))

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from nrsfm.numerics.threads import single_thread
+
 
 @dataclass
 class Sequence:
@@ -38,3 +40,10 @@ def make_sequence(frames=30, points=80, rank=2, seed=0, noise=0.0, size=100.0):
 def sequence():
     """The function that makes one."""
     return make_sequence
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    """As the pipeline runs the methods: their eigenproblems are too small for more."""
+    with single_thread():
+        yield

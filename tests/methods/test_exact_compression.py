@@ -30,7 +30,7 @@ def compressed_and_direct(points, rotations, labels, method, options, noise):
     order = np.argsort(labels, kind="stable")
     everything = measured.columns(order).reshape(measured.frames, 2, -1)
     offsets = np.concatenate([[0], np.cumsum(small.sizes)])
-    solver, chosen = get_method(method), build_options(get_method(method).Options, options)
+    solver, chosen = get_method(method), build_options(get_method(method).Options, {"gap": 1e-8} | options)
     virtual = Problem(small.factors, small.offsets, small.sizes, rotations, noise)
     direct = Problem(everything, offsets, small.sizes, rotations, noise)
     a = solver.solve(virtual, chosen, np.random.default_rng(5), lambda _: None)
@@ -93,7 +93,7 @@ TEMPORAL = {
 }
 
 
-@settings(max_examples=30)
+@settings(max_examples=60)
 @given(layouts(), st.fixed_dictionaries(COMMON | SPATIAL | TEMPORAL))
 def test_algorithm_1(layout, options):
     tracks, rotations, labels, noise = layout
@@ -107,21 +107,21 @@ PROJECTED = {
 }
 
 
-@settings(max_examples=30)
+@settings(max_examples=60)
 @given(layouts(), st.fixed_dictionaries(COMMON | SPATIAL | PROJECTED))
 def test_algorithm_2(layout, options):
     tracks, rotations, labels, noise = layout
     assert_same(tracks, rotations, labels, "geometry-aware", options, noise)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, 54])
 def test_temporal_points_of_low_rank(seed):
     """Early on S♯ has fewer directions than p_t; what completes the points must not depend on the compression."""
     rng = np.random.default_rng(seed)
     tracks, rotations = bending_tracks(24, 60, 3, 0.05, rng)
     labels = rng.integers(3, size=60)
     labels[:3] = range(3)
-    options = {"spatial_dimension": 8, "temporal_cells": 6, "temporal_dimension": 4, "regroup_every": 1 + seed}
+    options = {"spatial_dimension": 8, "temporal_cells": 6, "temporal_dimension": 4, "regroup_every": 1 + seed % 3}
     options |= {"lambda2": [1e-3, 0.1][seed % 2], "reweight": [0.0, 0.01][seed % 2]}
     assert_same(tracks, rotations, labels, "grassmann", options, 0.05)
 
@@ -133,6 +133,14 @@ def test_with_nothing_set(method, noise):
     rng = np.random.default_rng(8)
     tracks, rotations = bending_tracks(6, 150, 2, 0.05, rng)
     assert_same(tracks, rotations, np.arange(150) % 5, method, {}, noise)
+
+
+@pytest.mark.parametrize("method", ["grassmann", "geometry-aware"])
+def test_ranks_chosen_for_few_frames_and_many_points(method):
+    """The noise edge of a cell depends on its real points, of which there are many more than virtual ones."""
+    rng = np.random.default_rng(2)
+    tracks, rotations = bending_tracks(4, 1200, 1, 0.5, rng)
+    assert_same(tracks, rotations, np.arange(1200) % 3, method, {"grouping": False}, 2.0)
 
 
 def test_one_point_per_cell():

@@ -107,6 +107,17 @@ def test_noise_from_neighbours(frames, noise):
     assert 0.95 * noise < estimate < 2.2 * noise
 
 
+@pytest.mark.parametrize("frames", [3, 5, 20])
+@pytest.mark.parametrize("neighbours", [8, 24])
+def test_noise_from_neighbours_counts_its_degrees_of_freedom(frames, neighbours):
+    """Where the tracks do not vary with the coordinates, nothing but their noise is left: within 5%."""
+    rng = np.random.default_rng(frames)
+    tracks = 0.3 * rng.standard_normal((4000, neighbours, 2 * frames))
+    places = 50 * rng.standard_normal((4000, neighbours, 3))
+    tracks[:, :, :3] = places  # the coordinates themselves, as in the pipeline
+    assert noise_from_neighbours(places, tracks) == pytest.approx(0.3, rel=0.05)
+
+
 def test_curvature_only_raises_the_estimate():
     low = noise_from_neighbours(*neighbourhoods(np.random.default_rng(1), 100, 24, 10, 0.01, 0.0))
     high = noise_from_neighbours(*neighbourhoods(np.random.default_rng(1), 100, 24, 10, 0.01, 0.1))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from nrsfm.cameras import intersection, orbit, selection, signs
+from nrsfm.cameras import intersection, orbit, refinement, selection, signs
 from nrsfm.cameras.options import CameraOptions
 from nrsfm.cameras.rigid import rigid_upgrade
 from nrsfm.errors import InputError
@@ -25,6 +25,7 @@ LEAST_TURN = 10.0
 SIZE_CHANGE = 0.2
 ORBIT_DEVIATION = 12.0
 ORBIT_SHARE = 0.03
+REFINED_TURN = 180.0
 
 Progress = Callable[[str, float | None], None]
 
@@ -101,7 +102,9 @@ def estimate_cameras(
 def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Progress) -> CameraEstimate:
     frames = len(factor) // 2
     warnings: list[str] = []
-    basis = intersection.dominant_basis(factor, max(3 * (options.camera_rank or LARGEST_RANK), selection.VIRTUAL_POINTS))
+    basis = intersection.dominant_basis(
+        factor, max(3 * (options.camera_rank or LARGEST_RANK), selection.VIRTUAL_POINTS)
+    )
     columns = basis.shape[1]
     if columns < 3:
         warnings.append(f"the tracks have rank {columns}, below 3: there is no depth in them to recover")
@@ -115,11 +118,19 @@ def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Pro
         row: dict[str, Any] = {"K": item.rank, "start": item.start, "cost": item.cost}
         rows.append(row | judge.criteria(path))
         report("cameras", 0.4 + 0.4 * (i + 1) / len(solved))
-    best = selection.choose(rows)
+    exact = intersection.first_exact(solved, frames) if options.camera_rank is None else None
+    best = selection.choose(rows) if exact is None else exact
     rotations, rank, shape = paths[best], solved[best].rank, "free"
+    if rank > 1:
+        # Where the rank is exact the valley is long and flat; only the winner is worth walking it to the end.
+        final = _polish(basis, solved[best])
+        rotations = _path(basis, final)
+        rows[best] |= {"cost": final.cost} | judge.criteria(rotations)
 
-    if options.cameras == "intersection" and options.path != "free":
-        orbits = _orbits(paths, rows, judge, must=options.path == "orbit")
+    if options.camera_path == "orbit" or (
+        options.camera_path == "auto" and options.camera_method != "rigid" and exact is None
+    ):
+        orbits = _orbits(paths, rows, judge, must=options.camera_path == "orbit")
         if orbits is not None:
             rotations, row = orbits
             rows.append(row)
@@ -127,15 +138,16 @@ def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Pro
     for i, row in enumerate(rows):
         row["chosen"] = i == best
 
+    if options.refine and shape == "free" and rows[best]["cost"] >= refinement.LEAST_COST:
+        rotations = refinement.refine_rotations(rotations, factor)
+        rows[best]["refined"] = True
     rotations = signs.canonical(rotations)
     if options.mirror:
         rotations = signs.mirrored(rotations)
     scales = _scales(rotations, basis, options)
     turn = _turn(rotations)
     if turn < LEAST_TURN:
-        warnings.append(
-            f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined"
-        )
+        warnings.append(f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined")
     report("cameras", 1.0)
     logger.debug("cameras: K=%d, %s path, turn %.1f degrees, %d candidates", rank, shape, turn, len(rows))
     return CameraEstimate(rotations, scales, rank, rows, warnings, turn, shape)
@@ -151,14 +163,16 @@ def _solve(
 ) -> list[intersection.Upgrade]:
     """The metric upgrades to be compared."""
     frames = len(basis) // 2
-    if options.cameras == "rigid":
+    if options.camera_method == "rigid":
         if options.camera_rank not in (None, 1):
             warnings.append(f"camera_rank {options.camera_rank} is ignored: rigid factorisation has one shape")
         return [rigid_upgrade(basis, free_scales=options.scales == "free")]
     limit = intersection.rank_limit(frames, columns)
     wanted = options.camera_rank
     if wanted is not None and wanted > limit:
-        warnings.append(f"camera_rank {wanted} is more than {frames} frames of rank {columns} can decide: {limit} is used")
+        warnings.append(
+            f"camera_rank {wanted} is more than {frames} frames of rank {columns} can decide: {limit} is used"
+        )
     ranks = min(wanted or LARGEST_RANK, limit)
     weight = 0.0 if options.scales == "free" else min(1.0, ONE_SCALE_FRAMES / frames)
     solved = intersection.upgrades(
@@ -186,6 +200,13 @@ def _path(basis: np.ndarray, item: intersection.Upgrade) -> np.ndarray:
     return signs.apply_signs(rotations, signs.consistent_signs(rotations, basis))
 
 
+def _polish(basis: np.ndarray, item: intersection.Upgrade) -> intersection.Upgrade:
+    n = len(item.matrix)
+    x, y = np.ascontiguousarray(basis[0::2, :n]), np.ascontiguousarray(basis[1::2, :n])
+    matrix, cost, used = intersection.refine(x, y, item.matrix, iterations=400, tolerance=1e-9)
+    return replace(item, matrix=matrix, cost=2.0 * cost / len(basis), iterations=item.iterations + used)
+
+
 def _orbits(
     paths: list[np.ndarray], rows: list[dict[str, Any]], judge: selection.Judge, *, must: bool
 ) -> tuple[np.ndarray, dict[str, Any]] | None:
@@ -195,7 +216,7 @@ def _orbits(
         return None
     numbers = np.arange(count) - (count - 1) / 2.0
     least = min(row["norm"] for row in rows)
-    found: list[tuple[float, np.ndarray, int]] = []
+    found: list[tuple[float, np.ndarray, float, int]] = []
     seen: list[np.ndarray] = []
     for i, path in enumerate(paths):
         if rows[i]["norm"] > (1.0 + selection.NORM_TOLERANCE) * least and not must:
@@ -208,14 +229,16 @@ def _orbits(
         seen.append(velocity)
         score = judge.criteria(orbit.orbit_path(velocity, numbers, path))
         if must or score["norm"] <= (1.0 + selection.NORM_TOLERANCE) * least:
-            found.append((score["log"], velocity, i))
+            found.append((score["log"], velocity, turn, i))
     if not found:
         return None
     # ``log`` and not ``norm``: the norm alone is lowered by giving the object's own slow turning to the camera.
-    _, velocity, i = min(found, key=lambda entry: entry[0])
-    velocity, _ = orbit.refine_orbit(
-        velocity, count, lambda v: judge.criteria(orbit.orbit_path(v, numbers, paths[i]))["log"], 40
-    )
+    _, velocity, turn, i = min(found, key=lambda entry: entry[0])
+    # On a path of less than half a turn the criterion rewards turning less, and the fit alone is the better one.
+    if turn >= REFINED_TURN:
+        velocity, _ = orbit.refine_orbit(
+            velocity, count, lambda v: judge.criteria(orbit.orbit_path(v, numbers, paths[i]))["log"], 40
+        )
     rotations = orbit.orbit_path(velocity, numbers, paths[i])
     row = {"K": rows[i]["K"], "start": "orbit", "cost": rows[i]["cost"]} | judge.criteria(rotations)
     return rotations, row

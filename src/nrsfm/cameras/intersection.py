@@ -21,6 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+EXACT_COST = 1e-12
+
 
 @dataclass(frozen=True)
 class Upgrade:
@@ -188,6 +190,17 @@ def upgrades(
         if progress is not None:
             progress(rank / ranks)
     return found
+
+
+def first_exact(solved: list[Upgrade], frames: int) -> int | None:
+    """Index of the first solution that is exact: no residual, though the equations outnumber the unknowns twice.
+
+    Only noise-free tracks of exactly low rank have one; no criterion on the shapes is then needed.
+    """
+    for i, item in enumerate(solved):
+        if item.rank > 1 and item.cost < EXACT_COST and 2 * frames >= 2 * (8 * item.rank - 3):
+            return i
+    return None
 
 
 def _distinct(solved: list[Upgrade], count: int) -> list[Upgrade]:

@@ -11,7 +11,7 @@ from nrsfm.options import option
 class CameraOptions:
     """How the camera rotations are estimated when they are not given."""
 
-    cameras: str = option(
+    camera_method: str = option(
         "intersection",
         "Estimator: 'intersection' (metric upgrade of a rank-3K factorisation; Dai, Li and He 2014) or 'rigid' "
         "(rank-3 factorisation; Tomasi and Kanade 1992).",
@@ -26,11 +26,16 @@ class CameraOptions:
         "mean 1) or 'auto' (free where the tracks show that the size changes, else fixed).",
         choices=("auto", "fixed", "free"),
     )
-    path: str = option(
+    camera_path: str = option(
         "auto",
         "Camera path: 'free' (one rotation per frame), 'orbit' (an even turn, R_f = exp(f ω) R₀) or 'auto' (an "
         "orbit where it explains the tracks as well as free rotations, which then follow it closely).",
         choices=("auto", "free", "orbit"),
+    )
+    refine: bool = option(
+        True,
+        "Refine the rotations against low-rank shapes where the metric upgrade leaves much unexplained, as it does "
+        "under perspective and in few frames.",
     )
     mirror: bool = option(
         False, "Return the other of the two solutions that orthographic tracks cannot tell apart (z reversed)."

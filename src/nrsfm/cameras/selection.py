@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from nrsfm.numerics.low_rank import threshold_over_frames
+
 VIRTUAL_POINTS = 30
 FRAMES = 120
 NORM_TOLERANCE = 0.03
@@ -68,26 +70,10 @@ def low_rank_shapes(rotations: np.ndarray, tracks: np.ndarray, iterations: int) 
     for _ in range(iterations):
         shapes = low - dual
         shapes = shapes + back @ (tracks - rows @ shapes)
-        low = _threshold(shapes + dual, cut)
+        low, _ = threshold_over_frames(shapes + dual, cut)
         dual = (dual + shapes - low) / 1.1
         cut /= 1.1
     return shapes
-
-
-def _threshold(shapes: np.ndarray, cut: float) -> np.ndarray:
-    """Singular-value threshold of S♯ through whichever of its two Gram matrices is smaller."""
-    from scipy.linalg import eigh
-
-    flat = shapes.reshape(len(shapes), -1)
-    left = len(flat) <= flat.shape[1]
-    gram = flat @ flat.T if left else flat.T @ flat
-    values, vectors = eigh(gram, check_finite=False, driver="evd")
-    sigma = np.sqrt(np.maximum(values, 0.0))
-    live = sigma > cut
-    basis = vectors[:, live]
-    gain = 1.0 - cut / sigma[live]
-    out = (basis * gain) @ (basis.T @ flat) if left else ((flat @ basis) * gain) @ basis.T
-    return out.reshape(shapes.shape)
 
 
 def choose(rows: list[dict[str, Any]]) -> int:

@@ -11,8 +11,6 @@ from typing import Any, NoReturn
 from nrsfm.errors import OptionError, suggest
 from nrsfm.options import field_types
 
-# Fields whose own spelling is taken: --cameras FILE gives known cameras, the demo's --noise adds some.
-_SPELLINGS = {"cameras": "--camera-method", "noise": "--noise-level"}
 _DEST = "option:"  # keeps the fields of options dataclasses apart from the verb's own arguments
 _NUMBER = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE)
 
@@ -73,7 +71,7 @@ def _join_negative_numbers(words: Sequence[str]) -> list[str]:
 
 def flag_of(name: str) -> str:
     """Return the command-line spelling of an options field."""
-    return _SPELLINGS.get(name, "--" + name.replace("_", "-"))
+    return "--" + name.replace("_", "-")
 
 
 def add_options(parser: Parser, title: str, cls: type) -> None:

@@ -113,8 +113,7 @@ def crop_to_window(sequence: Sequence, window: str | Window) -> Sequence:
     if isinstance(window, str):
         if window not in KINECT_WINDOWS:
             raise InputError(
-                f"'{window}' is not a window; known: "
-                f"{', '.join(KINECT_WINDOWS)}{suggest(window, KINECT_WINDOWS)}"
+                f"'{window}' is not a window; known: {', '.join(KINECT_WINDOWS)}{suggest(window, KINECT_WINDOWS)}"
             )
         window = KINECT_WINDOWS[window]
     first = sequence.tracks.points[0]

@@ -45,9 +45,7 @@ def load_ict(info: DatasetInfo, folder: Path, options: dict[str, Any]) -> Sequen
     offsets = model["expr"][:, :kept].astype(np.float64)
     if info.name in _TAKE_NAMES:
         weights = motion[_TAKE_NAMES[info.name]].astype(np.float64)
-        rotations = camera_path(
-            len(weights), turns=len(weights) / 400
-        )  # about as fast as a head moves at 30 Hz
+        rotations = camera_path(len(weights), turns=len(weights) / 400)  # about as fast as a head moves at 30 Hz
     else:
         take = info.name.removeprefix("ict-")
         weights = motion[f"weights_{take}"].astype(np.float64)

@@ -27,8 +27,7 @@ def data_folder(root: str | os.PathLike[str] | None = None) -> Path:
         value = os.environ.get(VARIABLE, "")
         if not value:
             raise FileError(
-                "the folder of the data sets is not known: give root=, or set the environment variable "
-                f"{VARIABLE}"
+                f"the folder of the data sets is not known: give root=, or set the environment variable {VARIABLE}"
             )
         folder, source = Path(value), f"the environment variable {VARIABLE}"
     if not folder.is_dir():
@@ -50,7 +49,5 @@ class DataFile:
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self._entries:
-            raise FileError(
-                f"cannot use '{self.path}': array '{name}' is missing; found {listing(self._entries)}"
-            )
+            raise FileError(f"cannot use '{self.path}': array '{name}' is missing; found {listing(self._entries)}")
         return self._entries[name].read()

@@ -46,9 +46,7 @@ def densify(faces: np.ndarray, n_vertices: int, subdivide: int, points: int | No
     if points is not None and subdivide:
         raise InputError(f"subdivide and points cannot both be given, received {subdivide} and {points}")
     if n_vertices * 4**subdivide > _MOST_POINTS or (points or 0) > _MOST_POINTS:
-        raise InputError(
-            f"at most {_MOST_POINTS} points are made, received subdivide={subdivide}, points={points}"
-        )
+        raise InputError(f"at most {_MOST_POINTS} points are made, received subdivide={subdivide}, points={points}")
     if points is None and subdivide == 0:
         return Density(None, faces, n_vertices)
     from scipy.sparse import eye_array
@@ -101,7 +99,5 @@ def _split(faces: np.ndarray, count: int) -> tuple[Any, np.ndarray]:
         parts = [np.stack([faces[:, k], middle[:, k], centre, before[:, k]], axis=1) for k in range(4)]
     else:
         parts = [np.stack([faces[:, k], middle[:, k], before[:, k]], axis=1) for k in range(3)] + [middle]
-    weights = csr_array(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(total, count)
-    )
+    weights = csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(total, count))
     return weights, np.concatenate(parts).astype(np.int32 if total < 2**31 else np.int64)

@@ -67,13 +67,9 @@ class Sequence:
                 raise InputError(f"{self.name}: {name} of shape {needed} are needed, received {array.shape}")
 
     def __repr__(self) -> str:
-        known = [
-            n for n in ("shapes", "rotations", "valid", "faces", "edges") if getattr(self, n) is not None
-        ]
+        known = [n for n in ("shapes", "rotations", "valid", "faces", "edges") if getattr(self, n) is not None]
         truth = ", ".join(known) or "no truth"
-        return (
-            f"Sequence({self.name!r}, {self.tracks.n_frames} frames, {self.tracks.n_points} points, {truth})"
-        )
+        return f"Sequence({self.name!r}, {self.tracks.n_frames} frames, {self.tracks.n_points} points, {truth})"
 
     def with_noise(self, ratio: float, seed: int = 0) -> Sequence:
         """Return the same sequence with :func:`add_noise` on its tracks."""

@@ -12,9 +12,7 @@ SIZE = (300.0, 220.0)
 _STEPS = 192  # integration steps along the cloth
 
 
-def waves(
-    u: np.ndarray, v: np.ndarray, frames: int, seed: int, deformation: float
-) -> Callable[[int], np.ndarray]:
+def waves(u: np.ndarray, v: np.ndarray, frames: int, seed: int, deformation: float) -> Callable[[int], np.ndarray]:
     """Return a function that gives the cloth (3, P) in frame f, x right, y up, z to the viewer.
 
     Its slope along u is prescribed and integrated, so that the cloth keeps its length; then it is twisted.

@@ -48,9 +48,7 @@ def _face(number: int, frames: int, motion: str) -> DatasetInfo:
 
 
 def _ict(name: str, frames: int, title: str, camera: str, files: tuple[str, ...]) -> DatasetInfo:
-    return DatasetInfo(
-        name, frames, 6706, title, camera, "shapes, rotations", "model units", _ICT_ORIGIN, "MIT", files
-    )
+    return DatasetInfo(name, frames, 6706, title, camera, "shapes, rotations", "model units", _ICT_ORIGIN, "MIT", files)
 
 
 def _mocap(name: str, frames: int, points: int, title: str, licence: str = _NONE) -> DatasetInfo:
@@ -78,9 +76,7 @@ def _other(
     origin: str,
     licence: str = _NONE,
 ) -> DatasetInfo:
-    return DatasetInfo(
-        name, frames, points, title, camera, "shapes", units, origin, licence, (f"{name}.npz",)
-    )
+    return DatasetInfo(name, frames, points, title, camera, "shapes", units, origin, licence, (f"{name}.npz",))
 
 
 _PERSPECTIVE = "perspective"
@@ -144,9 +140,7 @@ _ROWS = (
     ),
     _other("mat1500_persp", 60, 1500, "a bending mat", _PERSPECTIVE, _PIXELS_MM, _SURFACES),
     _other("flag250_persp", 30, 250, "a deforming flag", _PERSPECTIVE, _PIXELS, _SURFACES),
-    _other(
-        "hulk_persp", 21, 122, "a deforming surface, truth known in part", _PERSPECTIVE, _PIXELS, _SURFACES
-    ),
+    _other("hulk_persp", 21, 122, "a deforming surface, truth known in part", _PERSPECTIVE, _PIXELS, _SURFACES),
     _other(
         "mesh_horse_gallop",
         48,

@@ -111,17 +111,11 @@ def reading(path: str | os.PathLike[str], what: str) -> Iterator[None]:
         # h5py reports every fault of content as an OSError without an error number.
         if error.errno is not None and error.strerror:
             raise FileError(f"cannot read '{path}': {error.strerror}") from error
-        raise FileError(
-            f"cannot read '{path}': it is not {what}, or it is truncated ({brief(error)})"
-        ) from error
+        raise FileError(f"cannot read '{path}': it is not {what}, or it is truncated ({brief(error)})") from error
     except MemoryError as error:
-        raise FileError(
-            f"cannot read '{path}': it asks for more memory than there is ({brief(error)})"
-        ) from error
+        raise FileError(f"cannot read '{path}': it asks for more memory than there is ({brief(error)})") from error
     except Exception as error:  # damaged files make the format libraries raise nearly everything
-        raise FileError(
-            f"cannot read '{path}': it is not {what}, or it is truncated ({brief(error)})"
-        ) from error
+        raise FileError(f"cannot read '{path}': it is not {what}, or it is truncated ({brief(error)})") from error
 
 
 def brief(error: BaseException, limit: int = 160) -> str:
@@ -134,9 +128,7 @@ def check_size(name: str, shape: tuple[int, ...], itemsize: int, limit: int) -> 
     """Raise ``FileError`` where a header asks for more bytes than the file can hold."""
     needed = math.prod(shape) * itemsize
     if needed > limit:
-        raise FileError(
-            f"array '{name}' should have {needed} bytes ({shape}), the file can hold {limit}: truncated"
-        )
+        raise FileError(f"array '{name}' should have {needed} bytes ({shape}), the file can hold {limit}: truncated")
 
 
 def _sniff(target: Path) -> str | None:
@@ -153,9 +145,7 @@ def _sniff(target: Path) -> str | None:
         return _ZIP
     if head.startswith(b"\x93NUMPY"):
         return _NPY
-    if (
-        head.startswith(_HDF5_MAGIC) or head[512:520] == _HDF5_MAGIC
-    ):  # MATLAB puts 512 bytes of its own before
+    if head.startswith(_HDF5_MAGIC) or head[512:520] == _HDF5_MAGIC:  # MATLAB puts 512 bytes of its own before
         return _HDF5
     if head.startswith(b"MATLAB 5.0 MAT-file"):
         return _MAT5

@@ -17,9 +17,7 @@ _RECONSTRUCTION = ("shapes", "rotations", "translations", "scales")
 _AXES = "xyz"
 
 
-def describe(
-    path: str | os.PathLike[str], *, order: str | None = None, name: str | None = None
-) -> dict[str, Any]:
+def describe(path: str | os.PathLike[str], *, order: str | None = None, name: str | None = None) -> dict[str, Any]:
     """Return what a file holds; every value is plain, so that the dict goes into JSON.
 
     Keys: ``path``, ``format`` (extension), ``bytes``, ``kind`` ("tracks", "shapes", "cameras",

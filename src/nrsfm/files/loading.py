@@ -159,9 +159,7 @@ def _in_file(path: str | os.PathLike[str]) -> Iterator[None]:
 
 def _check_order(order: str | None) -> None:
     if order is not None and order not in ORDERS:
-        raise InputError(
-            f"order must be one of {', '.join(ORDERS)}, received {order!r}{suggest(str(order), ORDERS)}"
-        )
+        raise InputError(f"order must be one of {', '.join(ORDERS)}, received {order!r}{suggest(str(order), ORDERS)}")
 
 
 def _choose(entries: dict[str, Entry], name: str | None, known: tuple[str, ...], what: str) -> str:
@@ -176,9 +174,7 @@ def _choose(entries: dict[str, Entry], name: str | None, known: tuple[str, ...],
         return found[0]
     if NAMELESS in entries:
         return NAMELESS
-    raise FileError(
-        f"{what} need an array named {', '.join(known[:-1])} or {known[-1]}; found {listing(entries)}"
-    )
+    raise FileError(f"{what} need an array named {', '.join(known[:-1])} or {known[-1]}; found {listing(entries)}")
 
 
 def _layout(
@@ -214,16 +210,12 @@ def _without_batch(array: np.ndarray, ndim: int, key: str) -> np.ndarray:
     if array.ndim != ndim + 1:
         return array
     if array.shape[0] != 1:
-        raise FileError(
-            f"{key}: one sequence is needed, received a batch of {array.shape[0]} (shape {array.shape})"
-        )
+        raise FileError(f"{key}: one sequence is needed, received a batch of {array.shape[0]} (shape {array.shape})")
     first: np.ndarray = array[0]
     return first
 
 
-def _flags(
-    entries: dict[str, Entry], names: tuple[str, ...], sizes: tuple[int, ...] | None
-) -> np.ndarray | None:
+def _flags(entries: dict[str, Entry], names: tuple[str, ...], sizes: tuple[int, ...] | None) -> np.ndarray | None:
     """The flags under one of ``names`` as bool, without axes of length 1 that trackers add to ``sizes``."""
     found = [n for n in names if n in entries]
     if not found:
@@ -237,9 +229,7 @@ def _flags(
     if flags.dtype == np.bool_:
         return flags
     if flags.dtype.kind not in "fiu" or not np.all((flags == 0) | (flags == 1)):
-        raise FileError(
-            f"{key}: true and false, or 1 and 0, are needed, received other values of dtype {flags.dtype}"
-        )
+        raise FileError(f"{key}: true and false, or 1 and 0, are needed, received other values of dtype {flags.dtype}")
     return flags == 1
 
 
@@ -248,9 +238,7 @@ def _to_pixels(array: np.ndarray, layout: str, image_size: tuple[float, float]) 
     if size.dtype.kind not in "fiu" or size.shape != (2,) or not np.all(np.isfinite(size) & (size > 0)):
         raise InputError(f"image_size must be a positive width and height, received {image_size!r}")
     if array.dtype.kind not in "fiu" or layout == "matrix" or array.shape[-1:] != (2,):
-        raise FileError(
-            f"image_size needs an array of (…, 2) real numbers, received {array.dtype} {array.shape}"
-        )
+        raise FileError(f"image_size needs an array of (…, 2) real numbers, received {array.dtype} {array.shape}")
     return array * size
 
 
@@ -272,9 +260,7 @@ def _shapes(array: np.ndarray) -> np.ndarray:
 
 def _truth(path: str | os.PathLike[str], shapes: np.ndarray, valid: np.ndarray | None) -> Truth:
     if valid is not None and valid.shape != shapes.shape[:2]:
-        raise InputError(
-            f"valid: shape {shapes.shape[:2]} is needed, as the shapes have, received {valid.shape}"
-        )
+        raise InputError(f"valid: shape {shapes.shape[:2]} is needed, as the shapes have, received {valid.shape}")
     unknown = np.zeros(shapes.shape[:2], dtype=bool)
     for f, frame in enumerate(shapes):
         if valid is None and np.isinf(frame).any():

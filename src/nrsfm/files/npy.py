@@ -28,14 +28,11 @@ def header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
 def check(name: str, shape: tuple[int, ...], dtype: np.dtype, held: int) -> None:
     """Raise ``FileError`` for pickled objects, and where the header promises other than ``held`` bytes."""
     if dtype.hasobject:
-        raise FileError(
-            f"array '{name or 'array'}' holds pickled objects, which are never unpickled: store numbers"
-        )
+        raise FileError(f"array '{name or 'array'}' holds pickled objects, which are never unpickled: store numbers")
     needed = math.prod(shape) * dtype.itemsize
     if held != needed:
         raise FileError(
-            f"array '{name or 'array'}' should have {needed} bytes, the file holds {held}: truncated or "
-            "damaged"
+            f"array '{name or 'array'}' should have {needed} bytes, the file holds {held}: truncated or damaged"
         )
 
 

@@ -31,8 +31,7 @@ def save_tracks(tracks: Tracks, path: str | os.PathLike[str], *, overwrite: bool
     extension = Path(path).suffix.lower()
     if extension not in _WRITERS:
         raise FileError(
-            f"cannot save tracks as '{path}': the name must end in "
-            f"{', '.join(_WRITERS)}{suggest(extension, _WRITERS)}"
+            f"cannot save tracks as '{path}': the name must end in {', '.join(_WRITERS)}{suggest(extension, _WRITERS)}"
         )
     with atomic_file(path, overwrite=overwrite) as stream:
         _WRITERS[extension](tracks, stream)

@@ -84,8 +84,7 @@ def _long(path: Path, skip: int, delimiter: str | None, names: list[str]) -> dic
         keys, counts = np.unique(frames * shape[1] + points, return_counts=True)
         frame, point = divmod(int(keys[np.argmax(counts > 1)]), shape[1])
         raise FileError(
-            f"one row per frame and point is needed, received several of frame {frame}, point {point} "
-            "(counted from 0)"
+            f"one row per frame and point is needed, received several of frame {frame}, point {point} (counted from 0)"
         )
     values = np.full((*shape, len(coordinates)), np.nan)
     values[frames, points] = table[:, 2 : 2 + len(coordinates)]

@@ -19,6 +19,7 @@ def grassmann_points(blocks: np.ndarray, dimension: int, complete: bool = True) 
     Source: f_g of the paper, [Φ, Σ, V] = svds(X, p), here by the smaller of the two Gram matrices.
     """
     count, ambient, columns = blocks.shape
+    dimension = min(dimension, ambient)  # the whole space is the largest subspace there is
     if ambient <= columns:
         values, leading = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))
         leading = leading * np.sqrt(np.maximum(values, 0.0))[:, None, :]

@@ -36,7 +36,7 @@ class ColumnCells:
         _, right = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)
         # Eigenvectors come in ascending order: the last p of each cell are kept, the others zeroed.
         right = right * (np.arange(width)[None, None, :] >= (width - dimensions)[:, None, None])
-        kept = (blocks @ right) @ right.transpose(0, 2, 1)
+        kept = blocks @ (right @ right.transpose(0, 2, 1))
         return kept.transpose(1, 0, 2)[:, self._mask]
 
     def columns_of_groups(self, groups: np.ndarray) -> list[np.ndarray]:

@@ -119,7 +119,7 @@ class LowRankOptions:
     growth: float = option(1.1, "Growth of the penalty per iteration.", symbol="ρ, c", above=1, maximum=10)
     beta_max: float = option(1e8, "Largest penalty; reaching it stops the iteration.", symbol="β_m", above=0)
     gap: float = option(
-        1e-7,
+        1e-6,
         "Stop when the root mean square of S♯ − f(S), in units of the tracks' rms, is below this (and C − J too).",
         symbol="ε",
         above=0,

@@ -109,7 +109,7 @@ class TemporalSubspaces:
         if self._options.grouping and len(self.cells) > 2:
             groups = spectral_groups(affinity, self._rng, self._options.temporal_groups)
             # As in space: an affinity that tells nothing apart leaves the groups as they are.
-            if groups.max() > 0 or self._options.temporal_groups == 1:
+            if groups.max() > 0 or self._options.temporal_groups is not None:
                 self._set_groups(groups)
 
 

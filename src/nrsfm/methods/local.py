@@ -123,6 +123,6 @@ class SpatialSubspaces:
         span = (max(2, cells // 5), max(2, cells // 2))
         groups = spectral_groups(affinity, self._rng, self._options.spatial_groups, span)
         # One group that was not asked for: the affinity (still) tells nothing apart, and the groups stay.
-        told = groups.max() > 0 or self._options.spatial_groups == 1
+        told = groups.max() > 0 or self._options.spatial_groups is not None
         if told and not np.array_equal(groups, self.groups):
             self._set_groups(groups)

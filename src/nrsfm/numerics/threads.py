@@ -14,7 +14,9 @@ from typing import Any
 
 @cache
 def _controller() -> Any:
-    # Looking up the loaded libraries costs milliseconds; once per process is enough.
+    # Looking up the loaded libraries costs milliseconds; once per process is enough. SciPy brings a BLAS of its own,
+    # which the controller holds only if it is loaded by now.
+    import scipy.linalg  # noqa: F401
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

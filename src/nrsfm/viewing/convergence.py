@@ -31,9 +31,7 @@ def _histories(value: Any) -> dict[str, np.ndarray]:
         try:
             series = np.asarray(value.get(key) if value.get(key) is not None else [], dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(
-                f"history: '{key}' must be a list of numbers, received {value[key]!r:.80}"
-            ) from error
+            raise InputError(f"history: '{key}' must be a list of numbers, received {value[key]!r:.80}") from error
         if series.ndim == 1 and np.isfinite(series).any():
             found[key] = series
     if not found:
@@ -93,14 +91,10 @@ def convergence_figure(history: Any, *, title: str = "Convergence") -> Figure:
     width = (WIDTH - left - 0.35 - gap * (len(found) - 1)) / len(found)
     with house_style():
         figure = new_figure(height, title, f"{length} iteration{'s' if length != 1 else ''}")
-        shown = [
-            (panel, colour) for panel, colour in zip(_PANELS, LINE_COLOURS, strict=True) if panel[0] in found
-        ]
+        shown = [(panel, colour) for panel, colour in zip(_PANELS, LINE_COLOURS, strict=True) if panel[0] in found]
         for i, ((key, name, meaning), colour) in enumerate(shown):
             x = left + i * (width + gap)
-            axes = figure.add_axes(
-                (x / WIDTH, foot / height, width / WIDTH, (height - header - foot) / height)
-            )
+            axes = figure.add_axes((x / WIDTH, foot / height, width / WIDTH, (height - header - foot) / height))
             _draw(axes, key, found[key], colour)
             axes.set_xlabel("iteration")
             axes.text(0.0, 1.16, name, transform=axes.transAxes, size=10.5, weight="bold")

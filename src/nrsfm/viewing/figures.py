@@ -204,9 +204,7 @@ def groups_figure(
         figure = new_figure(_HEADER + tall + 0.05, title, subtitle)
         for j, cloud in enumerate(clouds):
             left = start + (j + 0.5) * column - view.half[0] / units
-            draw_shape(
-                figure, left, _HEADER - 0.2, units, view, cloud, colours, scene, strength=0.6, crisp=True
-            )
+            draw_shape(figure, left, _HEADER - 0.2, units, view, cloud, colours, scene, strength=0.6, crisp=True)
     return figure
 
 

@@ -89,9 +89,7 @@ def draw_shape(
     return axes
 
 
-def _draw_sparse(
-    axes: Axes, points: np.ndarray, colours: np.ndarray, edges: np.ndarray | None, plain: bool
-) -> None:
+def _draw_sparse(axes: Axes, points: np.ndarray, colours: np.ndarray, edges: np.ndarray | None, plain: bool) -> None:
     from matplotlib.collections import LineCollection
 
     known = np.isfinite(points).all(axis=1)
@@ -103,9 +101,7 @@ def _draw_sparse(
     each = np.broadcast_to(np.asarray(colours, dtype=float), (len(points), 3))
     # What lies further away fades into the paper; colours that carry values stay as they are.
     ink = each if plain else each * 0.72
-    fade = np.where(known, 0.5 + 0.5 * near, 1.0)[:, None] * (1.0 if not plain else 0.0) + (
-        1.0 if plain else 0.0
-    )
+    fade = np.where(known, 0.5 + 0.5 * near, 1.0)[:, None] * (1.0 if not plain else 0.0) + (1.0 if plain else 0.0)
     shown = np.clip(fade * ink + (1.0 - fade) * rgb(PAPER), 0.0, 1.0)
     size = float(np.clip(2600.0 / max(len(points), 1), 5.0, 34.0))
     if edges is not None:
@@ -113,14 +109,10 @@ def _draw_sparse(
         edges = edges[np.argsort(-depth[edges].mean(axis=1))]
         tone = shown[edges].mean(axis=1)
         lines = points[edges][:, :, :2]
-        axes.add_collection(
-            LineCollection(list(lines), colors=tone, linewidths=2.2, capstyle="round", zorder=2)
-        )
+        axes.add_collection(LineCollection(list(lines), colors=tone, linewidths=2.2, capstyle="round", zorder=2))
         size *= 0.5
     order = np.flatnonzero(known)[np.argsort(-depth[known])]
-    axes.scatter(
-        points[order, 0], points[order, 1], s=size, c=shown[order], edgecolors=PAPER, linewidths=0.4, zorder=3
-    )
+    axes.scatter(points[order, 0], points[order, 1], s=size, c=shown[order], edgecolors=PAPER, linewidths=0.4, zorder=3)
 
 
 def colour_bar(
@@ -171,23 +163,17 @@ def round_up(value: float) -> float:
     if not np.isfinite(value) or value <= 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
-    return float(
-        next(s for s in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if s * power >= value * 0.999) * power
-    )
+    return float(next(s for s in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if s * power >= value * 0.999) * power)
 
 
 def side_label(figure: Figure, left: float, middle: float, text: str, *, strong: bool = False) -> None:
     """Write a row's name, turned, at the left of the row."""
     w, h = figure.get_size_inches()
-    style: dict[str, Any] = (
-        {"size": 9.5, "weight": "bold", "color": INK} if strong else {"size": 9, "color": GREY}
-    )
+    style: dict[str, Any] = {"size": 9.5, "weight": "bold", "color": INK} if strong else {"size": 9, "color": GREY}
     figure.text(left / w, 1.0 - middle / h, text, rotation=90, ha="center", va="center", **style)
 
 
 def caption(figure: Figure, x: float, top: float, text: str, **style: Any) -> None:
     """Write text centred at x inches, its top at ``top`` inches."""
     w, h = figure.get_size_inches()
-    figure.text(
-        x / w, 1.0 - top / h, text, **{"ha": "center", "va": "top", "size": 9, "color": GREY, **style}
-    )
+    figure.text(x / w, 1.0 - top / h, text, **{"ha": "center", "va": "top", "size": 9, "color": GREY, **style})

@@ -41,9 +41,7 @@ def _gather(parts: Sequence[tuple[np.ndarray, ...]], width: int, height: int) ->
     return Hits(pixels[front], element[front], weights[front])
 
 
-def rasterise_triangles(
-    xy: np.ndarray, depth: np.ndarray, triangles: np.ndarray, width: int, height: int
-) -> Hits:
+def rasterise_triangles(xy: np.ndarray, depth: np.ndarray, triangles: np.ndarray, width: int, height: int) -> Hits:
     """Fill triangles; xy (N, 2) in pixels (x right, y down), depth (N,) grows away from the viewer."""
     corners = np.asarray(xy, dtype=np.float32)[triangles]
     depths = np.asarray(depth, dtype=np.float32)[triangles]
@@ -112,9 +110,7 @@ def rasterise_discs(xy: np.ndarray, depth: np.ndarray, radius: np.ndarray, width
         for dx, dy in zip(offset_x - reach, offset_y - reach, strict=True):
             x, y = base[:, 0] + dx, base[:, 1] + dy
             away = (np.stack([x, y], axis=1) + 0.5 - xy[group]) / radius[group, None]
-            inside = (
-                (np.einsum("nk,nk->n", away, away) <= 1.0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-            )
+            inside = (np.einsum("nk,nk->n", away, away) <= 1.0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
             kept = np.flatnonzero(inside)
             if len(kept):
                 weights = np.zeros((len(kept), 3), dtype=np.float32)

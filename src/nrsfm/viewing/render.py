@@ -25,9 +25,7 @@ def vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     corners = points[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = triangles.ravel()
-    total = np.stack(
-        [np.bincount(flat, np.repeat(normal[:, k], 3), minlength=len(points)) for k in range(3)], axis=1
-    )
+    total = np.stack([np.bincount(flat, np.repeat(normal[:, k], 3), minlength=len(points)) for k in range(3)], axis=1)
     total = total.astype(np.float64)  # without triangles, bincount gives integers
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0)

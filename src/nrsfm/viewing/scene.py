@@ -70,9 +70,7 @@ def shape_array(value: Any, name: str) -> np.ndarray:
     """Return shapes (F, P, 3) of an array or an object with ``.shapes``; raises ``InputError`` otherwise."""
     array = np.asarray(getattr(value, "shapes", value))
     if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype.kind not in "fiu":
-        raise InputError(
-            f"{name}: real shapes (frames, points, 3) are needed, received {array.dtype} {array.shape}"
-        )
+        raise InputError(f"{name}: real shapes (frames, points, 3) are needed, received {array.dtype} {array.shape}")
     return array
 
 
@@ -227,9 +225,7 @@ def make_scene(
         raise InputError(f"align must be one of {', '.join(ALIGNMENTS)}, received {align!r}{near}")
     true = None if truth is None else shape_array(truth, "truth")
     if true is not None and true.shape != shapes.shape:
-        raise InputError(
-            f"truth: shape {shapes.shape} is needed, as the reconstruction, received {true.shape}"
-        )
+        raise InputError(f"truth: shape {shapes.shape} is needed, as the reconstruction, received {true.shape}")
     mask = None if valid is None else np.asarray(valid)
     if mask is not None and (mask.shape != (total, points) or mask.dtype != np.bool_):
         raise InputError(

@@ -165,10 +165,7 @@ def group_colours(groups: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray
     known = np.isfinite(positions).all(axis=1)
     centres = (
         np.stack(
-            [
-                np.bincount(index[known], positions[known, k], minlength=count)
-                for k in range(positions.shape[1])
-            ],
+            [np.bincount(index[known], positions[known, k], minlength=count) for k in range(positions.shape[1])],
             axis=1,
         )
         / np.maximum(np.bincount(index[known], minlength=count), 1)[:, None]

@@ -25,9 +25,7 @@ def track_array(tracks: Any) -> np.ndarray:
     """
     points = np.asarray(getattr(tracks, "points", tracks))
     if points.ndim != 3 or points.shape[2] != 2 or points.size == 0 or points.dtype.kind not in "fiu":
-        raise InputError(
-            f"tracks: real points (frames, points, 2) are needed, received {points.dtype} {points.shape}"
-        )
+        raise InputError(f"tracks: real points (frames, points, 2) are needed, received {points.dtype} {points.shape}")
     visible = getattr(tracks, "visible", None)
     return points if visible is None else np.where(visible[..., None], points, np.nan)
 
@@ -69,9 +67,7 @@ def place_colours(positions: np.ndarray) -> np.ndarray:
     return np.clip(oklab_to_srgb(lab), 0.0, 1.0)
 
 
-def draw_tracks(
-    axes: Axes, points: np.ndarray, frame: int, shown: np.ndarray, colours: np.ndarray, trail: int
-) -> None:
+def draw_tracks(axes: Axes, points: np.ndarray, frame: int, shown: np.ndarray, colours: np.ndarray, trail: int) -> None:
     """Draw the shown points (n,) of one frame and their way during the ``trail`` frames before it."""
     from matplotlib.collections import LineCollection
 
@@ -138,9 +134,7 @@ def tracks_figure(
     units = max(2 * view.half[0] / (0.96 * column), 2 * view.half[1] / 3.4)
     tall = 2 * view.half[1] / units
     part = f", {len(shown):,} of them drawn" if len(shown) < points.shape[1] else ""
-    subtitle = (
-        f"{points.shape[1]:,} points in {total:,} frames{part}, with their way over the last {trail} frames"
-    )
+    subtitle = f"{points.shape[1]:,} points in {total:,} frames{part}, with their way over the last {trail} frames"
     with house_style():
         figure = new_figure(_HEADER + tall + 0.15, title, subtitle)
         for j, frame in enumerate(chosen):
