@@ -5,7 +5,7 @@ import pytest
 
 import nrsfm
 
-HEAVY = ("numpy", "scipy", "sklearn", "h5py", "matplotlib", "rich", "clarabel", "cvxpy", "importlib.metadata")
+HEAVY = ("numpy", "scipy", "sklearn", "h5py", "matplotlib", "rich", "cvxpy", "importlib.metadata")
 
 
 def modules_after(code):

@@ -5,6 +5,7 @@ The public names are those below. They are loaded when first used, so that ``imp
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -29,6 +30,9 @@ __all__ = [
     "reconstruct",
     "shape_error",
 ]
+
+# The library speaks through logging and never by itself: without this, warnings would reach stderr unasked.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
     "Reconstruction": "nrsfm.reconstruction",

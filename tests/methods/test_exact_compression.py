@@ -139,8 +139,8 @@ def test_with_nothing_set(method, noise):
 def test_ranks_chosen_for_few_frames_and_many_points(method):
     """The noise edge of a cell depends on its real points, of which there are many more than virtual ones."""
     rng = np.random.default_rng(2)
-    tracks, rotations = bending_tracks(4, 1200, 1, 0.5, rng)
-    assert_same(tracks, rotations, np.arange(1200) % 3, method, {"grouping": False}, 2.0)
+    tracks, rotations = bending_tracks(4, 480, 1, 0.5, rng)
+    assert_same(tracks, rotations, np.arange(480) % 3, method, {"grouping": False}, 2.0)
 
 
 def test_one_point_per_cell():

@@ -136,7 +136,7 @@ SWITCHES = [
     ("method", "switch"),
     [(m, s) for m in LOCAL for s in SWITCHES]
     + [("grassmann", {"temporal": False}), ("grassmann", {"temporal_cells": 4})]
-    + [("grassmann", {"temporal_dimension": 3}), ("grassmann", {"lambda1": 1.0})],
+    + [("grassmann", {"temporal_dimension": 3}), ("grassmann", {"lambda3": 1.0})],
 )
 def test_every_part_does_something(method, switch, sequence):
     data = sequence(frames=16, noise=0.1, points=160, rank=4)

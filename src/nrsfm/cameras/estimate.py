@@ -22,7 +22,7 @@ JUDGED_RANKS = (1, 2, 3, 4, 5, 7, 8, 10, 12, 13)
 
 ONE_SCALE_FRAMES = 20.0
 LEAST_TURN = 10.0
-SIZE_CHANGE = 0.2
+SIZE_CHANGE = 0.15
 ORBIT_DEVIATION = 12.0
 ORBIT_SHARE = 0.03
 REFINED_TURN = 180.0
@@ -247,7 +247,7 @@ def _orbits(
 def _scales(rotations: np.ndarray, basis: np.ndarray, options: CameraOptions) -> np.ndarray:
     """Scale of each frame against one mean shape, W_f ≈ s_f R_f S̄, or ones.
 
-    ``auto`` frees the scales only when they spread by more than 20%: deformation alone mimics up to 14% (hulk),
+    ``auto`` frees the scales only when they spread by more than 15%: deformation alone mimics up to 14% (hulk),
     and to first order a missed scale only scales that frame's shape.
     """
     frames = len(rotations)

@@ -18,7 +18,7 @@ PICTURES = ("overview", "shapes", "error", "groups", "convergence", "tracks")
 OUTPUT_NAMES = (RECONSTRUCTION, CONFIG, METRICS, LOG, *(f"{name}.png" for name in PICTURES))
 """All that a run writes, and so all that overwriting an output may delete."""
 
-_LIBRARIES = ("numpy", "scipy", "scikit-learn", "clarabel", "threadpoolctl", "h5py", "matplotlib")
+_LIBRARIES = ("numpy", "scipy", "threadpoolctl", "h5py", "matplotlib")
 
 
 def digest(path: str | Path) -> dict[str, Any]:

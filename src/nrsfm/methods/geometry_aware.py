@@ -40,7 +40,7 @@ class GeometryAwareOptions(SpatialOptions):
         None, "Dimension of the lower space. Default: from τ, at least p + 1.", symbol="d̃", minimum=1
     )
     beta1: float = option(1e-3, "Weight of the self-expression.", symbol="β₁", above=0)
-    beta3: float = option(1e-3, "Weight of the nuclear norm of C̃.", symbol="β₃", above=0)
+    beta3: float = option(1e-4, "Weight of the nuclear norm of C̃.", symbol="β₃", above=0)
 
 
 class LowerManifold:

@@ -54,8 +54,8 @@ class GrassmannOptions(SpatialOptions):
     )
     lambda1: float = option(1e-3, "Weight of the spatial self-expression.", symbol="λ₁", above=0)
     lambda2: float = option(1e-3, "Weight of the temporal self-expression.", symbol="λ₂", above=0)
-    lambda3: float = option(1e-3, "Weight of the nuclear norm of C_s.", symbol="λ₃", above=0)
-    lambda4: float = option(1e-3, "Weight of the nuclear norm of C_t.", symbol="λ₄", above=0)
+    lambda3: float = option(1e-4, "Weight of the nuclear norm of C_s.", symbol="λ₃", above=0)
+    lambda4: float = option(1e-4, "Weight of the nuclear norm of C_t.", symbol="λ₄", above=0)
 
 
 class TemporalSubspaces:

@@ -39,28 +39,35 @@ def shrink_singular_values(values: np.ndarray, shape: tuple[int, int], noise: fl
     return np.where(above, np.sqrt(inside) / scaled * unit, 0.0)
 
 
-def _lower_half_mean(ratio: float) -> float:
-    """Mean of the lower half of the Marchenko-Pastur law (unit variance, aspect ``ratio`` ≤ 1)."""
+_TAIL = 4  # the noise is read off the lowest quarter of the spectrum
+_LEAST_SPECTRUM = 8  # with fewer singular values than this the signal may fill them all
+
+
+def _tail_mean(ratio: float) -> float:
+    """Mean of the lowest quarter of the Marchenko-Pastur law (unit variance, aspect ``ratio`` ≤ 1)."""
     low, high = (1 - np.sqrt(ratio)) ** 2, (1 + np.sqrt(ratio)) ** 2
     # Substituting x = mid + half·cos(t) removes the square-root ends, so that few nodes suffice.
     angle = (np.arange(2000) + 0.5) * np.pi / 2000
     x = (low + high) / 2 - (high - low) / 2 * np.cos(angle)
     weight = np.sin(angle) ** 2 / np.maximum(x, 1e-300)
     cumulative = np.cumsum(weight)
-    lower = cumulative <= cumulative[-1] / 2
+    lower = cumulative <= cumulative[-1] / _TAIL
     return float(np.sum((weight * x)[lower]) / np.sum(weight[lower]))
 
 
 def noise_from_spectrum(eigenvalues: np.ndarray, rows: int, columns: int) -> float:
-    """Noise level from the lower half of the eigenvalues of W Wᵀ (descending), W rows×columns, row-centred.
+    """Noise level from the lowest quarter of the eigenvalues of W Wᵀ (descending), W rows×columns, row-centred.
 
-    Under white noise and a signal of less than half the rank, the lower half follows the Marchenko-Pastur law. A
-    signal of higher rank makes this an over-estimate: it is an upper bound, never a lower one.
+    Under white noise and a signal of less than three quarters of the full rank, that quarter follows the
+    Marchenko-Pastur law. A signal of higher rank makes this an over-estimate: it is an upper bound. With fewer than
+    eight eigenvalues nothing can be told, and the answer is 0: noise is not invented.
     """
     small, large = min(rows, columns - 1), max(rows, columns - 1)
+    if small < _LEAST_SPECTRUM:
+        return 0.0
     values = np.maximum(np.asarray(eigenvalues, dtype=np.float64)[:small], 0.0)
-    lower = values[small - max(1, small // 2) :]
-    return float(np.sqrt(np.mean(lower) / (large * _lower_half_mean(small / large))))
+    tail = values[small - small // _TAIL :]
+    return float(np.sqrt(np.mean(tail) / (large * _tail_mean(small / large))))
 
 
 def noise_from_neighbours(positions: np.ndarray, neighbour_tracks: np.ndarray) -> float:
