@@ -159,13 +159,13 @@ def test_chunk_borders_do_not_matter(step, monkeypatch):
     points = random_points(5, 4, 70, 100.0)
     labels = random_labels(5, 70, 3)
     reference, whole = measure(points), expanded(points, labels)[1]
-    coordinates = track_coordinates(reference, spectrum(reference.gram)[1][:, :3])
+    coordinates = track_coordinates(reference, spectrum(reference)[1][:, :3])
     monkeypatch.setattr(compression, "_CHUNK_BYTES", 16 * len(points) * step)
     assert max(c.stop - c.start for c in reference.chunks()) == min(step, 70)
     cut = measure(points)
     np.testing.assert_allclose(cut.gram, reference.gram, rtol=0, atol=1e-12 * np.abs(reference.gram).max())
     np.testing.assert_allclose(expanded(points, labels)[1], whole, rtol=0, atol=1e-9 * np.abs(whole).max())
-    again = track_coordinates(cut, spectrum(reference.gram)[1][:, :3])
+    again = track_coordinates(cut, spectrum(reference)[1][:, :3])
     np.testing.assert_allclose(again, coordinates, rtol=1e-5, atol=1e-6)
 
 
@@ -256,7 +256,7 @@ def surface(frames, side, noise, rng):
 def test_noise_of_a_bending_sheet(frames, side, noise):
     rng = np.random.default_rng(0)
     measured = measure(surface(frames, side, noise, rng))
-    values, vectors = spectrum(measured.gram)
+    values, vectors = spectrum(measured)
     coordinates = track_coordinates(measured, vectors[:, :10])
     estimate = estimate_noise(measured, values, coordinates, rng) * measured.unit / 100
     assert 0.95 * noise < estimate < 1.10 * noise
@@ -265,5 +265,5 @@ def test_noise_of_a_bending_sheet(frames, side, noise):
 def test_noise_of_a_clean_sheet_is_small():
     rng = np.random.default_rng(0)
     measured = measure(surface(40, 60, 0.0, rng))
-    values, vectors = spectrum(measured.gram)
+    values, vectors = spectrum(measured)
     assert estimate_noise(measured, values, track_coordinates(measured, vectors[:, :10]), rng) < 1e-3

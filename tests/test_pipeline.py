@@ -470,3 +470,32 @@ def test_translations_are_the_means_of_the_points():
     result = nrsfm.reconstruct(TRACKS, "bmm")
     np.testing.assert_allclose(result.translations, TRACKS.mean(axis=1), rtol=1e-6)
     np.testing.assert_allclose(result.translations, measure(TRACKS).translations, rtol=1e-6)
+
+
+@pytest.mark.parametrize("line", ["constant x", "constant y", "diagonal", "one place"])
+def test_frames_whose_points_lie_on_a_line_are_named(line):
+    tracks = TRACKS.copy()
+    tracks[4:] = {
+        "constant x": np.stack([np.full_like(tracks[4:, :, 0], 5.0), tracks[4:, :, 1]], axis=2),
+        "constant y": np.stack([tracks[4:, :, 0], np.full_like(tracks[4:, :, 0], 5.0)], axis=2),
+        "diagonal": np.stack([tracks[4:, :, 0], 2 * tracks[4:, :, 0] + 1], axis=2),
+        "one place": np.full_like(tracks[4:], 7.0),
+    }[line]
+    result = nrsfm.reconstruct(tracks, "bmm", **QUICK)
+    expected = f"in {len(tracks) - 4} of {len(tracks)} frames (the first is frame 4) all points lie on one line"
+    assert any(expected in text for text in result.diagnostics["warnings"])
+    assert not any("on one line" in text for text in nrsfm.reconstruct(TRACKS, "bmm").diagnostics["warnings"])
+
+
+def test_known_cameras_that_do_not_turn_are_warned_of():
+    still = np.repeat(np.eye(3)[None], len(TRACKS), axis=0)
+    result = nrsfm.reconstruct(TRACKS, "bmm", rotations=still)
+    assert any("hardly turn" in text for text in result.diagnostics["warnings"])
+    turning = nrsfm.reconstruct(TRACKS, "bmm", rotations=turning_cameras(len(TRACKS)))
+    assert not turning.diagnostics["warnings"]
+
+
+@pytest.mark.parametrize("factor", [1e200, 1e-200])
+def test_the_size_of_tracks_out_of_range_is_named(factor):
+    with pytest.raises(nrsfm.errors.InputError, match=rf"received \d.*e[+-]{'1[89]|20'}"):
+        nrsfm.reconstruct(TRACKS / np.abs(TRACKS).max() * factor)

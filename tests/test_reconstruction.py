@@ -269,3 +269,12 @@ def test_load_refuses_a_zip_of_something_else(tmp_path):
         archive.writestr("readme.txt", "hello")
     with pytest.raises(FileError, match="missing, found readme"):
         load_reconstruction(tmp_path / "r.npz")
+
+
+def test_reprojection_errors_of_far_away_tracks_keep_their_digits():
+    shapes = np.random.default_rng(0).standard_normal((3, 5, 3)).astype(np.float32)
+    rotations = np.repeat(np.eye(3)[None], 3, axis=0)
+    far = np.full((3, 2), 1e9)
+    result = Reconstruction(shapes, rotations, far, np.ones(3))
+    points = shapes[..., :2].astype(np.float64) + far[:, None]
+    assert result.reprojection_errors(Tracks(points)).max() < 1e-6

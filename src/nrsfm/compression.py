@@ -6,10 +6,10 @@ L_k (2F × r_k) and give exactly the shapes that they would give on W, after exp
 
 L_k and Q_k come from the eigendecomposition of the float64 Gram matrix W_k W_kᵀ = V Λ Vᵀ: L_k = V √Λ,
 Q_kᵀ = Λ^(−1/2) Vᵀ W_k. A Gram matrix cannot tell singular values below about 1e-8 of the largest from rounding, so
-directions below 1e-7 of the largest singular value of W are always cut. ``tolerance`` cuts further: in every cell as
-many trailing directions as together hold at most that root mean square per coordinate (unit: the rms of all
-tracks). With ``noise`` > 0 the singular values are also shrunk optimally for that noise level, cell by cell: a local
-linear subspace whose dimension the data choose.
+directions below 1e-7 of ‖W‖ are always cut. ``tolerance`` cuts further: in every cell as many trailing directions as
+together hold at most that root mean square per coordinate (unit: the rms of all tracks). With ``noise`` > 0 the
+singular values are also shrunk optimally for that noise level, cell by cell: a local linear subspace whose dimension
+the data choose.
 
 P enters in four passes, each by chunks: :func:`measure`, :func:`track_coordinates` (for the cells), :func:`compress`
 and :meth:`CompressedTracks.expand`.
@@ -65,6 +65,15 @@ class Measurements:
         yield from _chunks(self.frames, self.count)
 
 
+def _spread(points: np.ndarray) -> float:
+    """Root mean square about each frame's mean, also where its square is beyond floating-point numbers."""
+    largest = float(np.abs(points).max()) or 1.0
+    scaled = points.astype(np.float64) / largest
+    scaled -= scaled.mean(axis=1, keepdims=True)
+    extent = float(np.abs(scaled).max()) or 1.0
+    return largest * extent * float(np.sqrt(np.mean((scaled / extent) ** 2)))
+
+
 def _chunks(frames: int, count: int) -> Iterator[slice]:
     step = max(1, _CHUNK_BYTES // (16 * frames))
     for start in range(0, count, step):
@@ -96,25 +105,39 @@ def measure(points: np.ndarray) -> Measurements:
     if not 1 / _LARGEST <= unit <= _LARGEST:  # also where it is not a number
         raise InputError(
             f"tracks: points must spread about their mean by {1 / _LARGEST:g} to {_LARGEST:g} (root mean square), "
-            f"received {unit:.3g}"
+            f"received {_spread(points):.3g}"
         )
     return Measurements(points, offset + mean.reshape(frames, 2), unit, gram / unit**2)
 
 
-def spectrum(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values (descending) and left singular vectors of W from W Wᵀ."""
-    values, vectors = np.linalg.eigh(gram)
-    return np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
+def spectrum(measurements: Measurements, members: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values (r,), descending, and left singular vectors (2F, r) of W, or of some of its columns.
+
+    Through the smaller of the two Gram matrices; r = min(2F, number of columns).
+    """
+    rows, count = 2 * measurements.frames, measurements.count if members is None else len(members)
+    if count < rows:
+        block = measurements.columns(slice(None) if members is None else members)
+        squares, right = np.linalg.eigh(block.T @ block)
+        values = np.sqrt(np.maximum(squares[::-1], 0.0))
+        return values, (block @ right[:, ::-1]) / np.where(values > 0, values, 1.0)
+    gram = measurements.gram
+    if members is not None:
+        gram = np.zeros_like(measurements.gram)
+        for part in _chunks(measurements.frames, count):
+            block = measurements.columns(members[part])
+            gram += block @ block.T
+    squares, vectors = np.linalg.eigh(gram)
+    return np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
 
 
 def _factor(
-    gram: np.ndarray, columns: int, noise: float, tolerance: float, floor: float
+    values: np.ndarray, vectors: np.ndarray, columns: int, noise: float, tolerance: float, floor: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Virtual tracks (2F, r) and the map (r, 2F) that makes orthonormal Qᵀ out of W, from W Wᵀ."""
-    values, vectors = spectrum(gram)
-    shrunk = shrink_singular_values(values, (len(gram), columns), noise)
+    """Virtual tracks (2F, r) and the map (r, 2F) that makes orthonormal Qᵀ out of W, from its spectrum."""
+    shrunk = shrink_singular_values(values, (len(vectors), columns), noise)
     tail = np.cumsum(values[::-1] ** 2)[::-1]  # what would be lost by cutting from here on
-    kept = (values > floor) & (shrunk > 0) & (tail > tolerance**2 * len(gram) * columns)
+    kept = (values > floor) & (shrunk > 0) & (tail > tolerance**2 * len(vectors) * columns)
     if not kept.any():
         kept[0] = True  # an all-zero or all-noise cell keeps one direction: its points stay in the answer
         shrunk[0] = values[0]
@@ -174,14 +197,11 @@ def compress(
     sizes = np.bincount(labels)
     members = np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
     size = float(np.trace(measurements.gram))
-    floor = _ROUNDING * float(np.sqrt(max(np.linalg.eigvalsh(measurements.gram)[-1], 0.0)))
+    floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
     factors, maps = [], []
     for indices in members:
-        gram = np.zeros_like(measurements.gram)
-        for part in _chunks(measurements.frames, len(indices)):
-            block = measurements.columns(indices[part])
-            gram += block @ block.T
-        left, back = _factor(gram, len(indices), noise, tolerance, floor)
+        values, vectors = spectrum(measurements, indices)
+        left, back = _factor(values, vectors, len(indices), noise, tolerance, floor)
         factors.append(left)
         maps.append(back)
     stacked = np.concatenate(factors, axis=1)

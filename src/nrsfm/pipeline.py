@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from nrsfm.cameras import (
+    LEAST_TURN,
     CameraEstimate,
     CameraOptions,
+    camera_turn,
     cameras_from_known,
     choose_mirror,
     estimate_cameras,
@@ -46,6 +48,7 @@ from nrsfm.tracks import Tracks
 logger = logging.getLogger(__name__)
 
 _MIRROR_POINTS = 5_000  # at most about so many points tell which way the shape bulges
+_THIN = 1e-5  # points this much narrower than long lie on a line
 _COORDINATES = 10  # leading track coordinates in which cells and neighbours are found
 
 
@@ -158,7 +161,7 @@ def _run(
     with stages("reading tracks"):
         measured = measure(tracks.points)
         with single_thread():
-            values, vectors = spectrum(measured.gram)
+            values, vectors = spectrum(measured)
         coordinates = track_coordinates(measured, vectors[:, :_COORDINATES])
         noise = _noise_level(measured, values, coordinates, pipeline, rng)
     with stages("cameras") as monitor, single_thread():
@@ -179,7 +182,7 @@ def _run(
         solution = method.solve(problem, own, rng, monitor)
     with stages("expansion"):
         shapes = compressed.expand(solution.shapes, np.dtype(pipeline.precision))
-    warnings = [*cameras.warnings, *solution.warnings]
+    warnings = [*_on_lines(measured), *cameras.warnings, *solution.warnings]
     rotations, mirror = cameras.rotations, None
     if known is None:
         with stages("mirror"):
@@ -211,6 +214,20 @@ def _run(
     )
 
 
+def _on_lines(measured: Measurements) -> list[str]:
+    """Warn of frames whose points lie on one line, or in one place: a coordinate that is constant, for example."""
+    gram = measured.gram.reshape(measured.frames, 2, measured.frames, 2)
+    blocks = np.einsum("fifj->fij", gram)
+    least, largest = np.linalg.eigvalsh(blocks).T
+    lines = np.flatnonzero(least <= _THIN**2 * np.maximum(largest, 1e-6 * measured.count))
+    if not len(lines):
+        return []
+    return [
+        f"in {len(lines)} of {measured.frames} frames (the first is frame {lines[0]}) all points lie on one line: "
+        "these frames do not determine their own depth and camera"
+    ]
+
+
 def _noise_level(
     measured: Measurements,
     values: np.ndarray,
@@ -239,8 +256,10 @@ def _cameras(
 ) -> CameraEstimate:
     """Cameras from the global factor of W, whose singular values are shrunk for the noise."""
     if known is not None:
-        return CameraEstimate(known, np.ones(measured.frames), rank=0)
-    shrunk = shrink_singular_values(values, (len(values), measured.count), noise)
+        turn = camera_turn(known)
+        still = [f"the given cameras hardly turn: {turn:.1f} degrees in all; depth is poorly determined"]
+        return CameraEstimate(known, np.ones(measured.frames), rank=0, warnings=still if turn < LEAST_TURN else [])
+    shrunk = shrink_singular_values(values, (len(vectors), measured.count), noise)
     kept = (shrunk > 0) & (values > 1e-7 * values[0])
     kept[:3] = True
     factor = vectors[:, kept] * np.where(shrunk > 0, shrunk, values)[kept]

@@ -154,7 +154,10 @@ class Reconstruction:
         points, shape = np.asarray(tracks.points), (self.n_frames, self.n_points, 2)
         if points.shape != shape:
             raise InputError(f"tracks: points of shape {shape} are needed, received {points.shape}")
-        errors = np.linalg.norm(self.project() - points, axis=2)
+        errors = np.empty(shape[:2])
+        for f in range(self.n_frames):  # in float64: float32 would lose far-away tracks' digits
+            seen = self.scales[f] * (self.shapes[f] @ self.rotations[f, :2].T) + self.translations[f]
+            errors[f] = np.linalg.norm(seen - points[f], axis=1)
         if tracks.visible is not None:
             errors[~np.asarray(tracks.visible)] = np.nan
         return errors

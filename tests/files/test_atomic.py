@@ -156,3 +156,11 @@ def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
         pass
     with pytest.raises(FileError, match="Not a directory"), atomic_folder(tmp_path / "out" / "in"):
         pass
+
+
+def test_the_working_folder_is_not_replaced(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, reason in ((".", "working folder"), ("", "a name is needed"), (str(tmp_path), "working folder")):
+        with pytest.raises(FileError, match=reason), atomic_folder(name):
+            pass
+    assert os.listdir(tmp_path) == []

@@ -434,3 +434,25 @@ def test_any_numbers_survive_any_format(tmp_path_factory, points, extension):
     path = tmp_path_factory.mktemp("any") / f"a.{extension}"
     save_tracks(Tracks(points), path)
     np.testing.assert_array_equal(load_tracks(path).points.astype(points.dtype), points)
+
+
+def test_errors_call_the_array_as_the_file_does(tmp_path):
+    np.savez(tmp_path / "a.npz", tracks=np.zeros((5, 4, 3)))
+    with pytest.raises(FileError, match=r": tracks: shape \(frames, points, 2\) is needed, received \(5, 4, 3\)"):
+        load_tracks(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", W=np.full((6, 4), np.nan))
+    with pytest.raises(FileError, match=r": W: every visible coordinate must be finite, received 24"):
+        load_tracks(tmp_path / "b.npz")
+
+
+@pytest.mark.parametrize("text", ['"words"', "[[1, 2], [3]]", "[1, 2]"])
+def test_a_shape_that_fits_no_order_is_not_called_ambiguous(tmp_path, text):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(FileError, match=r"real numbers of shape .* are needed, received dtype"):
+        load_tracks(tmp_path / "a.json")
+
+
+def test_rows_of_different_length_are_named_without_options_of_numpy(tmp_path):
+    (tmp_path / "a.csv").write_text("1,2,3\n4,5\n")
+    with pytest.raises(FileError, match=r"columns changed from 3 to 2 at row 2$"):
+        load_tracks(tmp_path / "a.csv")

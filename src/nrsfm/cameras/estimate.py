@@ -145,7 +145,7 @@ def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Pro
     if options.mirror:
         rotations = signs.mirrored(rotations)
     scales = _scales(rotations, basis, options)
-    turn = _turn(rotations)
+    turn = camera_turn(rotations)
     if turn < LEAST_TURN:
         warnings.append(f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined")
     report("cameras", 1.0)
@@ -271,7 +271,7 @@ def _scales(rotations: np.ndarray, basis: np.ndarray, options: CameraOptions) ->
     return scales
 
 
-def _turn(rotations: np.ndarray) -> float:
+def camera_turn(rotations: np.ndarray) -> float:
     """Largest angle in degrees between two viewing directions (third rows)."""
     axes = rotations[:, 2]
     axes = axes[:: -(-len(axes) // 2000)]

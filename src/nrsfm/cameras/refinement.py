@@ -6,9 +6,9 @@ in turn: S by proximal gradient steps (step 1 is allowed, since R Rᵀ = I), R_f
 current S_f. The metric upgrade fits only the rank-3K part of the tracks; this fits all of them, perspective included.
 
 The minimum itself is biased, because the norm shrinks depth and the cameras follow: so the number of rounds is small
-and fixed, and tracks that a metric upgrade explains (cost below ``LEAST_COST``) are left alone. Measured: real tracks of
-a bending back .0816 → .0700, perspective mat, flag and hulk better by 1 to 6%, the 10-frame faces by up to 1%; without
-the bound on the cost, exact 99-frame sequences would lose (.002 → .010).
+and fixed, and tracks that a metric upgrade explains (cost below ``LEAST_COST``) are left alone. Measured: real tracks
+of a bending back .0816 → .0700, perspective mat, flag and hulk better by 1 to 6%, the 10-frame faces by up to 1%;
+without the bound on the cost, exact 99-frame sequences would lose (.002 → .010).
 """
 
 from __future__ import annotations

@@ -94,9 +94,14 @@ def check_output_folder(
     path: str | os.PathLike[str], *, overwrite: bool = False, replaceable: Collection[str] = ("*",)
 ) -> None:
     """Raise ``FileError`` where :func:`atomic_folder` would refuse ``path`` for what it holds now."""
+    if not os.fspath(path):
+        raise FileError("cannot write a folder: a name is needed, received ''")
     target = Path(os.path.realpath(path))
     if not os.path.lexists(target):
         return
+    if target == Path(os.path.realpath(os.curdir)):
+        # The new folder would take its name and leave the caller's shell in the removed one.
+        raise FileError(f"cannot write folder '{path}': it is the working folder: name another, such as ./output")
     if not target.is_dir():
         raise FileError(f"cannot write folder '{path}': a file of that name exists")
     try:

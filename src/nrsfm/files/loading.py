@@ -89,11 +89,12 @@ def load_tracks(
             array = _to_pixels(array, layout, image_size)
         elif key == "points" and layout == "point-first" and _is_relative(array):
             logger.warning("%s: every coordinate is in [0, 1]: if relative to the image, give its size", path)
-        if layout == "matrix":
-            return Tracks.from_measurement_matrix(array, visible)
-        if layout == "point-first":
-            return Tracks.from_point_first(array, None if visible is None else ~visible)
-        return Tracks(array, visible)
+        with _under_its_name(key):
+            if layout == "matrix":
+                return Tracks.from_measurement_matrix(array, visible)
+            if layout == "point-first":
+                return Tracks.from_point_first(array, None if visible is None else ~visible)
+            return Tracks(array, visible)
 
 
 def load_shapes(path: str | os.PathLike[str], *, order: str | None = None, name: str | None = None) -> Truth:
@@ -157,6 +158,18 @@ def _in_file(path: str | os.PathLike[str]) -> Iterator[None]:
         raise FileError(f"cannot use '{path}': {text}") from error
 
 
+@contextmanager
+def _under_its_name(key: str) -> Iterator[None]:
+    """Call the array in errors as the file does: ``Tracks`` knows it as points or W."""
+    try:
+        yield
+    except InputError as error:
+        name, _, rule = str(error).partition(": ")
+        if not key or name not in ("points", "W"):
+            raise
+        raise InputError(f"{key}: {rule}") from error
+
+
 def _check_order(order: str | None) -> None:
     if order is not None and order not in ORDERS:
         raise InputError(f"order must be one of {', '.join(ORDERS)}, received {order!r}{suggest(str(order), ORDERS)}")
@@ -199,6 +212,11 @@ def _layout(
         return "matrix"
     if array.ndim == 4 and array.shape[0] == 1 and not flags:
         return "frame-first"  # only the trackers that work frame-first write a batch axis
+    if array.ndim < 2 or array.ndim > 4 or array.dtype.kind not in "fiu":
+        raise FileError(
+            f"{key or 'an array without a name'}: real numbers of shape (frames, points, {last}) or ({last} x frames, "
+            f"points) are needed, received dtype {array.dtype}, shape {array.shape}"
+        )
     raise FileError(
         f"the order of axes of {key or 'an array without a name'} with shape {array.shape} is ambiguous: "
         f"state it (order= or --order): frame-first for (frames, points, {last}), point-first for (points, "

@@ -56,7 +56,7 @@ def _numbers(path: Path, skip: int, delimiter: str | None, columns: list[int] | 
                 path, delimiter=delimiter, skiprows=skip, usecols=columns, ndmin=2, encoding="utf-8-sig"
             )
     except ValueError as error:
-        raise FileError(brief(error)) from error
+        raise FileError(brief(error).partition("; use `usecols`")[0]) from error  # an option of NumPy, not ours
     if array.size == 0:
         raise FileError("it holds no numbers")
     return array

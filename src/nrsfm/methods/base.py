@@ -114,7 +114,7 @@ class LowRankOptions:
         "First penalty of the multiplier method. Default: the value at which the first threshold equals the largest "
         "singular value, so that γ, far more than the schedule, decides the answer.",
         symbol="β",
-        above=0,
+        minimum=1e-12,
     )
     growth: float = option(1.1, "Growth of the penalty per iteration.", symbol="ρ, c", above=1, maximum=10)
     beta_max: float = option(1e8, "Largest penalty; reaching it stops the iteration.", symbol="β_m", above=0)
