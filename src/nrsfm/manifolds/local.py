@@ -31,13 +31,13 @@ class ColumnCells:
 
     def truncate(self, matrix: np.ndarray, dimensions: np.ndarray) -> np.ndarray:
         """Best rank-``dimensions[k]`` approximation of each cell of a (d, N) matrix."""
-        blocks = np.ascontiguousarray((matrix[:, self._table] * self._mask).transpose(1, 0, 2))
-        width = blocks.shape[2]
-        _, right = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)
-        # Eigenvectors come in ascending order: the last p of each cell are kept, the others zeroed.
-        right = right * (np.arange(width)[None, None, :] >= (width - dimensions)[:, None, None])
-        kept = blocks @ (right @ right.transpose(0, 2, 1))
-        return kept.transpose(1, 0, 2)[:, self._mask]
+        out = np.empty_like(matrix)
+        # One by one: widths differ by much, and a padded stack would cost as if all were the widest.
+        for start, stop, dimension in zip(self.offsets[:-1], self.offsets[1:], dimensions, strict=True):
+            block = matrix[:, start:stop]
+            right = np.linalg.eigh(block.T @ block)[1][:, stop - start - dimension :]
+            out[:, start:stop] = block @ (right @ right.T)
+        return out
 
     def columns_of_groups(self, groups: np.ndarray) -> list[np.ndarray]:
         """Column indices of each group, for ``groups`` (K,) labels 0..G−1 of the cells."""
@@ -63,7 +63,7 @@ class GroupRefinement:
     """Best rank-p approximation of each group's columns: f_s after f_g.
 
     ``columns`` are the column indices of each group and ``dimensions`` its p; None, or p no less than the number of
-    columns, leaves a group as it is. The groups left over are solved as one zero-padded stack.
+    columns, leaves a group as it is.
     """
 
     def __init__(self, columns: list[np.ndarray], dimensions: list[int | None], rows: int) -> None:
