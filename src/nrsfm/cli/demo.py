@@ -8,6 +8,7 @@ from typing import Any
 
 from nrsfm.cli import running
 from nrsfm.cli.arguments import Parser
+from nrsfm.cli.inputs import Inputs
 from nrsfm.cli.scores import Truth
 from nrsfm.progress import Report
 
@@ -29,7 +30,7 @@ def run(words: Sequence[str]) -> int:
     parser.add_argument("--known-cameras", action="store_true", help="give the true cameras to the method")
     given, job = running.parse(parser, words)
 
-    def load(report: Report) -> running.Inputs:
+    def load(report: Report) -> Inputs:
         report("generating", None)
         settings: dict[str, Any] = {
             "frames": given.frames,
@@ -49,7 +50,7 @@ def run(words: Sequence[str]) -> int:
             "cameras": "true" if given.known_cameras else "estimated",
             "truth": "generated",
         }
-        return running.Inputs(
+        return Inputs(
             tracks=tracks,
             rotations=sequence.rotations if given.known_cameras else None,
             truth=None if sequence.shapes is None else Truth(sequence.shapes, sequence.valid, sequence.rotations),

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from nrsfm.cli.running import Inputs
+    from nrsfm.cli.inputs import Inputs
     from nrsfm.reconstruction import Reconstruction
     from nrsfm.viewing import SceneOptions
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from nrsfm.cli import running
 from nrsfm.cli.arguments import Parser
+from nrsfm.cli.inputs import Inputs
 from nrsfm.cli.outputs import digest
 from nrsfm.cli.scores import FRAMES_OF_TRUTH, Truth
 from nrsfm.progress import Report
@@ -32,7 +33,7 @@ def run(words: Sequence[str]) -> int:
     add_truth(parser, "--truth", metavar="FILE", help="file with the true shapes, to score against")
     given, job = running.parse(parser, words)
 
-    def load(report: Report) -> running.Inputs:
+    def load(report: Report) -> Inputs:
         from nrsfm.files import load_rotations, load_tracks
 
         report("reading files", None)
@@ -43,7 +44,7 @@ def run(words: Sequence[str]) -> int:
             "cameras": digest(given.cameras) if given.cameras else "estimated",
             "truth": digest(given.truth) if given.truth else None,
         }
-        return running.Inputs(
+        return Inputs(
             tracks=tracks,
             rotations=load_rotations(given.cameras) if given.cameras else None,
             truth=load_truth(given.truth, given.truth_frame) if given.truth else None,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nrsfm.cli.arguments import Parser, add_options, flag_of, given_options
+from nrsfm.cli.inputs import Inputs
 from nrsfm.cli.outputs import (
     CONFIG,
     LOG,
@@ -23,7 +24,7 @@ from nrsfm.cli.outputs import (
     log_to,
     versions,
 )
-from nrsfm.cli.scores import Truth, scores
+from nrsfm.cli.scores import scores
 from nrsfm.cli.summary import summary
 from nrsfm.cli.text import to_json
 from nrsfm.errors import InputError, OptionError, suggest
@@ -35,25 +36,9 @@ from nrsfm.progress import Report, TerminalProgress, silent
 if TYPE_CHECKING:
     import argparse
 
-    import numpy as np
-
     from nrsfm.reconstruction import Reconstruction
-    from nrsfm.tracks import Tracks
 
 DEFAULT_METHOD = "geometry-aware"
-
-
-@dataclasses.dataclass(frozen=True)
-class Inputs:
-    """What a run starts from; ``record`` is what ``config.json`` says of it, the rest is for pictures."""
-
-    tracks: Tracks
-    rotations: np.ndarray | None
-    truth: Truth | None
-    record: dict[str, Any]
-    faces: np.ndarray | None = None
-    edges: np.ndarray | None = None
-    unit: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
