@@ -313,6 +313,20 @@ def test_options_are_recorded_and_precision_is_kept():
     assert nrsfm.reconstruct(TRACKS, rotations=ROTATIONS, **QUICK).shapes.dtype == np.float32
 
 
+def test_mirror_gives_the_other_solution():
+    """R → D R D and S → S D with D = diag(1, 1, −1): another shape, the same tracks."""
+    tracks, *_ = bending()
+    one = nrsfm.reconstruct(tracks, precision="float64", **QUICK)
+    other = nrsfm.reconstruct(tracks, precision="float64", mirror=True, **QUICK)
+    flip = np.array([1.0, 1.0, -1.0])
+    size = np.abs(one.shapes).max()
+    np.testing.assert_allclose(other.shapes, one.shapes * flip, rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(other.rotations, one.rotations * flip[:, None] * flip, atol=1e-9)
+    np.testing.assert_allclose(other.project(), one.project(), rtol=0, atol=1e-9 * np.abs(one.project()).max())
+    reports = [r.diagnostics["cameras"]["mirror"] for r in (one, other)]
+    assert reports[0]["flip"] != reports[1]["flip"]
+
+
 def test_progress_is_told_the_stages_in_order():
     told = []
     nrsfm.reconstruct(TRACKS, "bmm", progress=lambda stage, share: told.append((stage, share)))

@@ -266,7 +266,6 @@ def _cameras(
     return estimate_cameras(
         factor,
         options,
-        noise=noise,
         seed=seed,
         progress=lambda _, fraction: monitor(fraction or 0.0),
     )

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from nrsfm.cameras import CameraOptions, estimate_cameras
-from nrsfm.cameras.signs import mirrored
 from nrsfm.errors import InputError
 from nrsfm.metrics import rotation_error
 
@@ -96,16 +95,6 @@ def test_same_seed_same_answer(sequence):
 def test_object_frame_is_the_first_camera(sequence):
     data = sequence(frames=30, points=40, rank=2, seed=1)
     np.testing.assert_allclose(estimate_cameras(data.factor, CameraOptions()).rotations[0], np.eye(3), atol=1e-12)
-
-
-def test_mirror_option_gives_the_other_solution(sequence):
-    data = sequence(frames=30, points=40, rank=2, seed=2)
-    a = estimate_cameras(data.factor, CameraOptions())
-    b = estimate_cameras(data.factor, CameraOptions(mirror=True))
-    np.testing.assert_allclose(b.rotations, mirrored(a.rotations), atol=1e-12)
-    flip = np.diag([1.0, 1.0, -1.0])
-    shapes = np.random.default_rng(0).normal(size=(30, 3, 5))
-    np.testing.assert_allclose((b.rotations @ (flip @ shapes))[:, :2], (a.rotations @ shapes)[:, :2], atol=1e-12)
 
 
 def test_an_even_turn_is_recognised_and_kept_out_of_the_shapes(sequence):

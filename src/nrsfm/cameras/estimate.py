@@ -66,20 +66,16 @@ def estimate_cameras(
     factor: np.ndarray,
     options: CameraOptions,
     *,
-    noise: float = 0.0,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> CameraEstimate:
-    """Estimate one rotation per frame.
+    """Estimate one rotation per frame, up to the mirror that :func:`nrsfm.cameras.choose_mirror` settles.
 
     Parameters
     ----------
     factor
         (2F, r) with W = factor @ Qᵀ and orthonormal rows in Qᵀ; W centred per row, of unit RMS per entry, rows
         x₁, y₁, x₂, y₂, ...
-    noise
-        Standard deviation of the tracks' noise in the unit of W; 0 if unknown. Only reported: the criteria work
-        on the leading virtual points, where noise is small.
     seed
         Seeds the random starts.
     progress
@@ -142,8 +138,6 @@ def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Pro
         rotations = refinement.refine_rotations(rotations, factor)
         rows[best]["refined"] = True
     rotations = signs.canonical(rotations)
-    if options.mirror:
-        rotations = signs.mirrored(rotations)
     scales = _scales(rotations, basis, options)
     turn = camera_turn(rotations)
     if turn < LEAST_TURN:

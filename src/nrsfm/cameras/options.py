@@ -18,7 +18,7 @@ class CameraOptions:
         choices=("intersection", "rigid"),
     )
     camera_rank: int | None = option(
-        None, "Number of basis shapes in the metric upgrade. None: chosen from the data.", symbol="K", minimum=1
+        None, "Number of basis shapes in the metric upgrade. Default: chosen from the data.", symbol="K", minimum=1
     )
     scales: str = option(
         "auto",
