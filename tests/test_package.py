@@ -35,6 +35,7 @@ def test_public_names_are_those_of_the_contract_and_nothing_else():
         "Reconstruction",
         "Tracks",
         "__version__",
+        "datasets",
         "errors",
         "load_reconstruction",
         "load_tracks",

@@ -9,7 +9,7 @@ import logging
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nrsfm import errors
+    from nrsfm import datasets, errors
     from nrsfm.files import load_tracks
     from nrsfm.methods import method_names
     from nrsfm.metrics import shape_error
@@ -23,6 +23,7 @@ __all__ = [
     "Reconstruction",
     "Tracks",
     "__version__",
+    "datasets",
     "errors",
     "load_reconstruction",
     "load_tracks",
@@ -52,8 +53,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         value: Any = version("nrsfm")
-    elif name == "errors":
-        value = importlib.import_module("nrsfm.errors")
+    elif name in ("datasets", "errors"):
+        value = importlib.import_module(f"nrsfm.{name}")
     elif name in _HOMES:
         value = getattr(importlib.import_module(_HOMES[name]), name)
     else:
