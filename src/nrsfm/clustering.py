@@ -76,7 +76,7 @@ def kmeans(data: np.ndarray, count: int, rng: np.random.Generator, rounds: int =
         if total >= (1 - 1e-4) * before:  # false while `before` is infinite
             break
         before = total
-    labels = _nearest(data, centres)[0] if sample is not data else _nearest(sample, centres)[0]
+    labels = _nearest(data, centres)[0]
     return np.unique(labels, return_inverse=True)[1].reshape(-1)
 
 

@@ -166,16 +166,17 @@ class CompressedTracks:
         frames, unit = self.measurements.frames, self.measurements.unit
         out = np.empty((frames, self.measurements.count, 3), dtype=dtype)
         flat = shapes.reshape(3 * frames, -1) * unit
-        for k, members in enumerate(self._members()):
+        for k, members in enumerate(_members(self.labels, self.sizes)):
             left = flat[:, self.offsets[k] : self.offsets[k + 1]]
             for part in _chunks(frames, len(members)):
                 block = left @ (self.maps[k] @ self.measurements.columns(members[part]))
                 out[:, members[part]] = block.reshape(frames, 3, -1).transpose(0, 2, 1)
         return out
 
-    def _members(self) -> list[np.ndarray]:
-        order = np.argsort(self.labels, kind="stable")
-        return np.split(order, np.cumsum(self.sizes)[:-1])
+
+def _members(labels: np.ndarray, sizes: np.ndarray) -> list[np.ndarray]:
+    """Indices of the points of each cell."""
+    return np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
 
 
 def compress(
@@ -195,11 +196,10 @@ def compress(
         Largest root mean square per coordinate that the cut directions of a cell may hold together, same unit.
     """
     sizes = np.bincount(labels)
-    members = np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
     size = float(np.trace(measurements.gram))
     floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
     factors, maps = [], []
-    for indices in members:
+    for indices in _members(labels, sizes):
         values, vectors = spectrum(measurements, indices)
         left, back = _factor(values, vectors, len(indices), noise, tolerance, floor)
         factors.append(left)

@@ -61,6 +61,15 @@ def _procrustes(cross: np.ndarray) -> np.ndarray:
     return u @ vt
 
 
+def _moved(a: np.ndarray, b: np.ndarray, align: str, rotation: np.ndarray) -> np.ndarray:
+    """One centred frame ``a`` put onto ``b``: by its own alignment where that is asked for, else by ``rotation``."""
+    if align not in ("per-frame", "similarity"):
+        return a @ rotation
+    moved = a @ _procrustes(a.T @ b)
+    size = float(np.sum(moved * moved))
+    return moved * (float(np.sum(moved * b)) / size) if align == "similarity" and size > 0 else moved
+
+
 def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.ndarray | None = None) -> np.ndarray:
     """Relative 3D error of each frame, ‖S_est − S_true‖_F / ‖S_true‖_F, both centred per frame.
 
@@ -103,12 +112,7 @@ def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.
     for f, (a, b) in enumerate(frames()):
         if a is None or b is None:
             continue
-        if align in ("per-frame", "similarity"):
-            rotation = _procrustes(a.T @ b)
-        moved = a @ rotation
-        if align == "similarity":
-            size = float(np.sum(moved * moved))
-            moved = moved * (float(np.sum(moved * b)) / size) if size > 0 else moved
+        moved = _moved(a, b, align, rotation)
         norm, gap = np.linalg.norm(b), np.linalg.norm(moved - b)
         errors[f] = gap / norm if norm > 0 else (0.0 if gap == 0 else np.inf)
     return errors
@@ -139,12 +143,7 @@ def aligned(estimate: Any, truth: Any, align: str = "global") -> np.ndarray:
         rotation = _procrustes(sum((a.T @ b for a, b in pairs), np.zeros((3, 3))))
     out = np.empty(true.shape)
     for f, (a, b) in enumerate(pairs):
-        if align in ("per-frame", "similarity"):
-            rotation = _procrustes(a.T @ b)
-        out[f] = a @ rotation
-        if align == "similarity":
-            size = float(np.sum(out[f] ** 2))
-            out[f] *= float(np.sum(out[f] * b)) / size if size > 0 else 1.0
+        out[f] = _moved(a, b, align, rotation)
     return out
 
 

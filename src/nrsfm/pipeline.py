@@ -164,7 +164,7 @@ def _run(
             values, vectors = spectrum(measured)
         coordinates = track_coordinates(measured, vectors[:, :_COORDINATES])
         noise = _noise_level(measured, values, coordinates, pipeline, rng)
-    with stages("cameras") as monitor, single_thread():
+    with stages("cameras") as monitor:
         cameras = _cameras(measured, values, vectors, known, noise, camera, seed, monitor)
     # The cells' eigenproblems are small: threads would cost more than they give.
     with stages("compression"), single_thread():

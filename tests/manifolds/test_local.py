@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nrsfm.manifolds.local import ColumnCells, GroupRefinement, signal_rank
+from nrsfm.manifolds.local import ColumnCells, refine_groups, signal_rank
 
 
 def best_approximation(block, rank):
@@ -25,7 +25,7 @@ def test_truncation_is_the_best_approximation_of_each_cell(seed, sizes, rows):
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     matrix = rng.standard_normal((rows, offsets[-1]))
     ranks = np.array([rng.integers(1, min(rows, n) + 1) for n in sizes])
-    got = ColumnCells(offsets).truncate(matrix, ranks)
+    got = refine_groups(matrix, ColumnCells(offsets).columns_of_groups(np.arange(len(sizes))), ranks.tolist())
     for a, b, rank in zip(offsets[:-1], offsets[1:], ranks, strict=True):
         np.testing.assert_allclose(got[:, a:b], best_approximation(matrix[:, a:b], rank), atol=1e-7)
 
@@ -55,7 +55,7 @@ def test_refinement_treats_groups_as_one_block(seed, sizes, rows):
     np.testing.assert_array_equal(np.sort(np.concatenate(columns)), np.arange(sum(sizes)))
     ranks = [None if rng.random() < 0.3 else int(rng.integers(1, 8)) for _ in columns]
     before = matrix.copy()
-    got = GroupRefinement(columns, ranks, rows)(matrix)
+    got = refine_groups(matrix, columns, ranks)
     np.testing.assert_array_equal(matrix, before)
     for own, rank in zip(columns, ranks, strict=True):
         expected = matrix[:, own] if rank is None else best_approximation(matrix[:, own], rank)
@@ -65,9 +65,9 @@ def test_refinement_treats_groups_as_one_block(seed, sizes, rows):
 def test_refining_twice_changes_nothing_more():
     rng = np.random.default_rng(0)
     matrix = rng.standard_normal((8, 20))
-    refine = GroupRefinement([np.arange(12), np.arange(12, 20)], [2, 3], 8)
-    once = refine(matrix)
-    np.testing.assert_allclose(refine(once), once, atol=1e-10)
+    groups = [np.arange(12), np.arange(12, 20)], [2, 3]
+    once = refine_groups(matrix, *groups)
+    np.testing.assert_allclose(refine_groups(once, *groups), once, atol=1e-10)
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.1])
@@ -84,3 +84,12 @@ def test_signal_rank_is_none_where_everything_is_signal():
     tracks = np.random.default_rng(0).standard_normal((20, 3))
     assert signal_rank(tracks, 3, 1e-6) is None
     assert signal_rank(np.zeros((20, 3)), 3, 0.1) in (None, 1)
+
+
+@pytest.mark.parametrize(("edge", "rank"), [(0.0, 6), (1.5, 4), (100.0, 1)])
+def test_without_a_dimension_the_edge_decides(edge, rank):
+    rng = np.random.default_rng(2)
+    left, right = (np.linalg.qr(rng.standard_normal((n, 6)))[0] for n in (9, 7))
+    matrix = (left * [8.0, 5.0, 3.0, 2.0, 1.0, 0.5]) @ right.T
+    got = refine_groups(matrix, [np.arange(7)], [None], edge)
+    np.testing.assert_allclose(got, best_approximation(matrix, rank), atol=1e-7)

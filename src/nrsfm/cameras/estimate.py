@@ -13,6 +13,7 @@ from nrsfm.cameras import intersection, orbit, refinement, selection, signs
 from nrsfm.cameras.options import CameraOptions
 from nrsfm.cameras.rigid import rigid_upgrade
 from nrsfm.errors import InputError
+from nrsfm.numerics.threads import single_thread
 
 logger = logging.getLogger(__name__)
 
@@ -88,10 +89,8 @@ def estimate_cameras(
         raise InputError(f"factor: shape (2 × frames, r) with at least 2 frames is needed, received {factor.shape}")
     if not np.isfinite(factor).all():
         raise InputError("factor: every entry must be finite, received NaN or infinity")
-    from threadpoolctl import threadpool_limits
-
     # Matrices of some 100 rows: a BLAS with several threads was seen to take 10 to 80 times as long.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with single_thread():
         return _estimate(factor, options, seed, progress or (lambda stage, fraction: None))
 
 

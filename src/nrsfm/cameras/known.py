@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from nrsfm.cameras.intersection import polar_rotations
 from nrsfm.errors import InputError
 
 TOLERANCE = 1e-3
@@ -49,15 +50,13 @@ def cameras_from_known(rotations: Any, frames: int) -> np.ndarray:
             f"rotations: the first two rows must be orthonormal to {TOLERANCE:g}, "
             f"received a deviation of {gap[worst]:.3g} in frame {worst}"
         )
-    u, _, vt = np.linalg.svd(rows, full_matrices=False)
-    rows = u @ vt
-    third = np.cross(rows[:, 0], rows[:, 1])
+    complete = polar_rotations(rows)[0]
     if array.shape[1] == 3:
-        gap = np.abs(array[:, 2] - third).max(axis=1)
+        gap = np.abs(array[:, 2] - complete[:, 2]).max(axis=1)
         worst = int(np.argmax(gap))
         if gap[worst] > 2 * TOLERANCE:
             raise InputError(
                 f"rotations: the third row must be the cross product of the first two (determinant +1), "
                 f"received determinant {np.linalg.det(array[worst]):.3g} in frame {worst}"
             )
-    return np.concatenate([rows, third[:, None]], axis=1)
+    return complete

@@ -51,10 +51,10 @@ def fit_orbit(rotations: np.ndarray) -> tuple[np.ndarray, float, float]:
         gap = _vector(rotations @ np.swapaxes(path, 1, 2))
         slope = np.empty((count, 3, 6))
         slope[:, :, 3:] = path @ np.swapaxes(path[:1], 1, 2)
+        back = np.swapaxes(_rotation(frames[:, None] * velocity), 1, 2)
         for i in range(3):
             moved = _rotation(frames[:, None] * (velocity + 1e-6 * np.eye(3)[i]))
-            base = _rotation(frames[:, None] * velocity)
-            slope[:, :, i] = _vector(moved @ np.swapaxes(base, 1, 2)) / 1e-6
+            slope[:, :, i] = _vector(moved @ back) / 1e-6
         step = np.linalg.lstsq(slope.reshape(-1, 6), gap.ravel(), rcond=None)[0][:3]
         velocity = velocity + step
         if np.linalg.norm(step) < 1e-10:

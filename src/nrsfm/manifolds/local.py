@@ -29,16 +29,6 @@ class ColumnCells:
         blocks = matrix[:, self._table] * self._mask
         return grassmann_points(np.ascontiguousarray(blocks.transpose(1, 0, 2)), dimension, complete)
 
-    def truncate(self, matrix: np.ndarray, dimensions: np.ndarray) -> np.ndarray:
-        """Best rank-``dimensions[k]`` approximation of each cell of a (d, N) matrix."""
-        out = np.empty_like(matrix)
-        # One by one: widths differ by much, and a padded stack would cost as if all were the widest.
-        for start, stop, dimension in zip(self.offsets[:-1], self.offsets[1:], dimensions, strict=True):
-            block = matrix[:, start:stop]
-            right = np.linalg.eigh(block.T @ block)[1][:, stop - start - dimension :]
-            out[:, start:stop] = block @ (right @ right.T)
-        return out
-
     def columns_of_groups(self, groups: np.ndarray) -> list[np.ndarray]:
         """Column indices of each group, for ``groups`` (K,) labels 0..G−1 of the cells."""
         owner = np.repeat(groups, np.diff(self.offsets))
@@ -59,23 +49,24 @@ def signal_rank(tracks: np.ndarray, points: int, noise: float) -> int | None:
     return kept if kept < rank else None
 
 
-class GroupRefinement:
-    """Best rank-p approximation of each group's columns: f_s after f_g.
+def refine_groups(
+    matrix: np.ndarray, columns: list[np.ndarray], dimensions: list[int | None], edge: float = 0.0
+) -> np.ndarray:
+    """Best rank-p approximation of each group's columns of a (d, N) matrix: f_s after f_g.
 
-    ``columns`` are the column indices of each group and ``dimensions`` its p; None, or p no less than the number of
-    columns, leaves a group as it is.
+    ``columns`` are the column indices of each group and ``dimensions`` its p. Where p is None, the singular values
+    above ``edge`` are kept; an edge of 0 leaves the group as it is, as does a p no less than its columns or rows.
     """
-
-    def __init__(self, columns: list[np.ndarray], dimensions: list[int | None], rows: int) -> None:
-        active = [(c, p) for c, p in zip(columns, dimensions, strict=True) if p is not None and p < min(len(c), rows)]
-        self._columns = np.concatenate([c for c, _ in active]) if active else np.zeros(0, dtype=np.int64)
-        self._cells = ColumnCells(np.concatenate([[0], np.cumsum([len(c) for c, _ in active])])) if active else None
-        self._dimensions = np.array([p for _, p in active])
-
-    def __call__(self, matrix: np.ndarray) -> np.ndarray:
-        """The refined (d, N) matrix; the input itself where no group is truncated."""
-        if self._cells is None:
-            return matrix
-        out = matrix.copy()
-        out[:, self._columns] = self._cells.truncate(matrix[:, self._columns], self._dimensions)
-        return out
+    out = matrix.copy()
+    # One by one: widths differ by much, and a padded stack would cost as if all were the widest.
+    for own, wanted in zip(columns, dimensions, strict=True):
+        largest = min(len(own), len(matrix))
+        if edge == 0 if wanted is None else wanted >= largest:
+            continue
+        block = matrix[:, own]
+        squares, right = np.linalg.eigh(block.T @ block)
+        dimension = max(1, int(np.count_nonzero(squares > edge**2))) if wanted is None else wanted
+        if dimension < largest:
+            kept = right[:, len(own) - dimension :]
+            out[:, own] = block @ (kept @ kept.T)
+    return out

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrsfm.clustering import kmeans, spectral_groups
+from nrsfm.clustering import kmeans
 from nrsfm.manifolds.grassmann import projection_kernel
-from nrsfm.manifolds.local import ColumnCells, GroupRefinement
+from nrsfm.manifolds.local import ColumnCells, refine_groups
 from nrsfm.manifolds.self_expression import SelfExpression
 from nrsfm.methods.base import LowRankState, Monitor, Problem, Solution, run_iterations
-from nrsfm.methods.local import SpatialOptions, SpatialSubspaces, default_cells
+from nrsfm.methods.local import SpatialOptions, SpatialSubspaces, default_cells, regrouped
 from nrsfm.options import option
 
 # Singular values of a group of shapes are kept down to this share of σ√(3P). Cutting at the noise itself tears the
@@ -95,22 +95,14 @@ class TemporalSubspaces:
         """S♯ with every group of frames brought to rank p_t."""
         if self._options.temporal_dimension is None and self._edge == 0:
             return shapes
-        matrix = self._matrix(shapes)
-        if self._options.temporal_dimension is not None:
-            dimensions: list[int | None] = [self._options.temporal_dimension] * len(self._columns)
-        else:
-            values = [np.linalg.eigvalsh(matrix[:, c].T @ matrix[:, c]) for c in self._columns]
-            dimensions = [max(1, int(np.count_nonzero(v > self._edge**2))) for v in values]
-        refined = GroupRefinement(self._columns, dimensions, len(matrix))(matrix)
+        dimensions = [self._options.temporal_dimension] * len(self._columns)
+        refined = refine_groups(self._matrix(shapes), self._columns, dimensions, self._edge)
         return refined.T[self._inverse].reshape(shapes.shape)
 
     def regroup(self, affinity: np.ndarray) -> None:
-        """P_t ← f_p(ξ_t, C_t, P_t)."""
+        """Regroup the cells of frames; they must be three or more."""
         if self._options.grouping and len(self.cells) > 2:
-            groups = spectral_groups(affinity, self._rng, self._options.temporal_groups)
-            # As in space: an affinity that tells nothing apart leaves the groups as they are.
-            if groups.max() > 0 or self._options.temporal_groups is not None:
-                self._set_groups(groups)
+            self._set_groups(regrouped(self.groups, affinity, self._rng, self._options.temporal_groups))
 
 
 class _SelfExpressed:

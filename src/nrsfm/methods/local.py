@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nrsfm.clustering import spectral_groups
-from nrsfm.manifolds.local import ColumnCells, GroupRefinement, signal_rank
+from nrsfm.manifolds.local import ColumnCells, refine_groups, signal_rank
 from nrsfm.methods.base import LowRankOptions, Problem
 from nrsfm.options import option
 
@@ -55,6 +55,21 @@ def default_cells(points: int) -> int:
     return int(np.clip(round(points / 300), 2, 50))
 
 
+def regrouped(
+    groups: np.ndarray,
+    affinity: np.ndarray,
+    rng: np.random.Generator,
+    count: int | None,
+    span: tuple[int, int] | None = None,
+) -> np.ndarray:
+    """P ← f_p(ξ, C, P): spectral groups, or the old ones where the affinity (still) tells nothing apart.
+
+    It does so by putting all into one group that was not asked for.
+    """
+    found = spectral_groups(affinity, rng, count, span)
+    return found if found.max() > 0 or count is not None else groups
+
+
 class SpatialSubspaces:
     """The cells, their current groups, and the rank-p refinement of each group.
 
@@ -81,16 +96,15 @@ class SpatialSubspaces:
         if not self.truncates:
             self.dimensions: list[int | None] = [None] * (int(groups.max()) + 1)
             return
-        columns = self.cells.columns_of_groups(groups)
+        self._columns = self.cells.columns_of_groups(groups)
         if self._options.spatial_dimension is not None:
-            self.dimensions = [self._options.spatial_dimension] * len(columns)
+            self.dimensions = [self._options.spatial_dimension] * len(self._columns)
         else:
             sizes = np.bincount(groups, weights=self._problem.sizes)
             self.dimensions = [
                 signal_rank(self._tracks[:, c], int(size), self._problem.noise)
-                for c, size in zip(columns, sizes, strict=True)
+                for c, size in zip(self._columns, sizes, strict=True)
             ]
-        self._refinement = GroupRefinement(columns, self.dimensions, 3 * len(self._problem.tracks))
 
     def grassmann_points(self, shapes: np.ndarray) -> np.ndarray:
         """Φ (K, 3F, p) of the cells of S (F, 3, N): f_g."""
@@ -104,7 +118,7 @@ class SpatialSubspaces:
         """S with every group's columns brought to rank p: f_s."""
         if not self.truncates:
             return shapes
-        return self._refinement(shapes.reshape(3 * len(shapes), -1)).reshape(shapes.shape)
+        return refine_groups(shapes.reshape(3 * len(shapes), -1), self._columns, self.dimensions).reshape(shapes.shape)
 
     def chosen(self) -> dict[str, Any]:
         """What was chosen from the data: cells, groups and dimensions."""
@@ -116,13 +130,11 @@ class SpatialSubspaces:
         }
 
     def regroup(self, affinity: np.ndarray) -> None:
-        """P ← f_p(ξ, C, P): spectral grouping of the cells."""
+        """Regroup the cells of points; they must be three or more."""
         cells = len(self.cells)
         if not self._options.grouping or cells < 3:
             return
         span = (max(2, cells // 5), max(2, cells // 2))
-        groups = spectral_groups(affinity, self._rng, self._options.spatial_groups, span)
-        # One group that was not asked for: the affinity (still) tells nothing apart, and the groups stay.
-        told = groups.max() > 0 or self._options.spatial_groups is not None
-        if told and not np.array_equal(groups, self.groups):
+        groups = regrouped(self.groups, affinity, self._rng, self._options.spatial_groups, span)
+        if not np.array_equal(groups, self.groups):
             self._set_groups(groups)
