@@ -151,6 +151,7 @@ class CompressedTracks:
 
     ``factors`` (F, 2, N); cell k owns columns ``offsets[k]:offsets[k+1]`` and, of the real points, those with
     ``labels == k``; ``sizes`` (K,) counts them. ``discarded`` is the share of ‖W‖² that was cut or shrunk away.
+    Without ``maps`` the virtual points are the real ones (:func:`uncompressed`).
     """
 
     factors: np.ndarray
@@ -164,6 +165,8 @@ class CompressedTracks:
     def expand(self, shapes: np.ndarray, dtype: np.dtype) -> np.ndarray:
         """Shapes (F, 3, N) of the virtual points to shapes (F, P, 3) of the real ones, in the tracks' unit."""
         frames, unit = self.measurements.frames, self.measurements.unit
+        if not self.maps:
+            return np.ascontiguousarray(shapes.transpose(0, 2, 1) * unit, dtype=dtype)
         out = np.empty((frames, self.measurements.count, 3), dtype=dtype)
         flat = shapes.reshape(3 * frames, -1) * unit
         for k, members in enumerate(_members(self.labels, self.sizes)):
@@ -216,6 +219,14 @@ def compress(
         measurements,
         max(lost, 0.0),
     )
+
+
+def uncompressed(measurements: Measurements) -> CompressedTracks:
+    """The real tracks, one cell, no maps: for methods whose terms the compression does not preserve."""
+    factors = measurements.columns(slice(None)).reshape(measurements.frames, 2, -1)
+    count = measurements.count
+    labels = np.zeros(count, dtype=np.int64)
+    return CompressedTracks(factors, np.array([0, count]), np.array([count]), labels, (), measurements, 0.0)
 
 
 def track_coordinates(measurements: Measurements, vectors: np.ndarray) -> np.ndarray:

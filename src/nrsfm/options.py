@@ -13,6 +13,8 @@ import types
 import typing
 from typing import Any, TypeVar
 
+import numpy as np
+
 from nrsfm.errors import OptionError, suggest
 
 T = TypeVar("T")
@@ -92,6 +94,11 @@ def _checked(field: dataclasses.Field[Any], kind: type, optional: bool, value: A
         if choices and value not in choices:
             listed = ", ".join(choices)
             raise OptionError(f"option '{name}' must be one of {listed}, received {value!r}{suggest(value, choices)}")
+        return value
+    elif kind is np.ndarray:
+        value = np.asarray(value)
+        if value.dtype.kind not in "iufb":
+            raise OptionError(f"option '{name}' must be an array of numbers, received dtype {value.dtype}")
         return value
     if rule.get("minimum") is not None and value < rule["minimum"]:
         raise OptionError(f"option '{name}' must be at least {rule['minimum']:g}, received {value!r}")

@@ -7,10 +7,11 @@ the caller's progress function; nothing below this file times, draws or aligns a
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import logging
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,11 @@ from nrsfm.compression import (
     measure,
     spectrum,
     track_coordinates,
+    uncompressed,
 )
 from nrsfm.errors import InputError
 from nrsfm.methods import get_method
-from nrsfm.methods.base import Method, Problem
+from nrsfm.methods.base import Method, Problem, Solution
 from nrsfm.numerics.noise import shrink_singular_values
 from nrsfm.numerics.threads import single_thread
 from nrsfm.options import option, split_options
@@ -63,8 +65,10 @@ class PipelineOptions:
         minimum=0,
         maximum=0.1,
     )
-    denoise: bool = option(
-        True, "Shrink the singular values of every cell optimally for the noise level while compressing."
+    denoise: bool | None = option(
+        None,
+        "Shrink the singular values of every cell optimally for the noise level while compressing. Default: on for "
+        "bmm, grassmann and geometry-aware; off for the other methods, which then are as published.",
     )
     noise_level: float | None = option(
         None,
@@ -72,6 +76,9 @@ class PipelineOptions:
         minimum=0,
     )
     precision: str = option("float32", "Type of the returned shapes.", choices=("float32", "float64"))
+    ordered: bool = option(
+        True, "The frames follow one another in time. Off refuses methods that need it (see nrsfm methods)."
+    )
 
 
 class _Stages:
@@ -134,6 +141,7 @@ def reconstruct(
     pipeline, camera, own = split_options(
         (PipelineOptions, CameraOptions, solver.Options), options, f"method '{method}'"
     )
+    _require(solver, tracks, pipeline)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed must be a whole number, at least 0, received {seed!r}")
     known = None if rotations is None else cameras_from_known(rotations, tracks.n_frames)
@@ -144,6 +152,22 @@ def reconstruct(
         raise InputError(f"progress must be true, false or a function of (stage, fraction), received {progress!r}")
     report = progress if callable(progress) else silent
     return _run(tracks, solver, known, int(seed), report, pipeline, camera, own)
+
+
+def _require(method: Method, tracks: Tracks, options: PipelineOptions) -> None:
+    """Refuse tracks that do not have what the method declares to need."""
+    needs = method.needs
+    for least, count, what in (
+        (needs.least_frames, tracks.n_frames, "frames"),
+        (needs.least_points, tracks.n_points, "points"),
+    ):
+        if count < least:
+            raise InputError(f"tracks: method '{method.name}' needs at least {least} {what}, received {count}")
+    if needs.frame_order and not options.ordered:
+        raise InputError(
+            f"ordered: method '{method.name}' needs frames that follow one another in time, received "
+            f"ordered={options.ordered}"
+        )
 
 
 def _run(
@@ -164,13 +188,18 @@ def _run(
             values, vectors = spectrum(measured)
         coordinates = track_coordinates(measured, vectors[:, :_COORDINATES])
         noise = _noise_level(measured, values, coordinates, pipeline, rng)
+    camera = _camera_options(camera, method, own)
+    denoise = method.denoise if pipeline.denoise is None else pipeline.denoise
     with stages("cameras") as monitor:
         cameras = _cameras(measured, values, vectors, known, noise, camera, seed, monitor)
     # The cells' eigenproblems are small: threads would cost more than they give.
     with stages("compression"), single_thread():
-        labels = kmeans(coordinates, method.cells(own, measured.count, measured.frames), rng)
+        if method.needs.every_point:
+            compressed = uncompressed(measured)
+        else:
+            labels = kmeans(coordinates, method.cells(own, measured.count, measured.frames), rng)
+            compressed = compress(measured, labels, noise=noise if denoise else 0.0, tolerance=pipeline.tolerance)
         del coordinates  # as large as a tenth of short tracks, and not needed again
-        compressed = compress(measured, labels, noise=noise if pipeline.denoise else 0.0, tolerance=pipeline.tolerance)
     with stages(method.name) as monitor, single_thread():
         problem = Problem(
             compressed.factors / cameras.scales[:, None, None],
@@ -178,10 +207,12 @@ def _run(
             compressed.sizes,
             np.ascontiguousarray(cameras.rotations[:, :2]),
             noise,
+            cameras_known=known is not None,
         )
         solution = method.solve(problem, own, rng, monitor)
     with stages("expansion"):
         shapes = compressed.expand(solution.shapes, np.dtype(pipeline.precision))
+    cameras = _moved_by_the_method(cameras, solution)
     warnings = [*_on_lines(measured), *cameras.warnings, *solution.warnings]
     rotations, mirror = cameras.rotations, None
     if known is None:
@@ -191,7 +222,7 @@ def _run(
         warnings.append("mirror is ignored: known cameras leave one solution")
     for text in warnings:
         logger.warning(text)
-    groups = None if solution.groups is None else solution.groups[labels]
+    groups = None if solution.groups is None else solution.groups[compressed.labels]
     return Reconstruction(
         shapes=shapes,
         rotations=rotations,
@@ -210,8 +241,39 @@ def _run(
             "warnings": warnings,
         },
         method=method.name,
-        options={"seed": seed, **asdict(pipeline), **asdict(camera), **asdict(own)},
+        options={"seed": seed, **_recorded(pipeline), **_recorded(camera), **_recorded(own)} | {"denoise": denoise},
     )
+
+
+def _camera_options(options: CameraOptions, method: Method, own: Any) -> CameraOptions:
+    """The camera options with the method's own estimator, and its own K, where none is named."""
+    if options.camera_method not in (None, method.camera_method):
+        return options
+    rank = options.camera_rank if options.camera_rank is not None else getattr(own, "rank", None)
+    if method.camera_method == "intersection":
+        rank = options.camera_rank  # its K is a number of its own
+    return replace(options, camera_method=method.camera_method, camera_rank=rank)
+
+
+def _moved_by_the_method(cameras: CameraEstimate, solution: Solution) -> CameraEstimate:
+    """The cameras after a method that estimates cameras and shapes together."""
+    if solution.rotations is not None:
+        rows = solution.rotations
+        rotations = np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
+        cameras = replace(cameras, rotations=rotations, turn=camera_turn(rotations))
+    if solution.scales is not None:
+        cameras = replace(cameras, scales=cameras.scales * solution.scales)
+    return cameras
+
+
+def _recorded(options: Any) -> dict[str, Any]:
+    """Options as plain values; an array is named by its shape and digest."""
+    return {
+        name: f"array {value.shape} sha256 {hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()[:16]}"
+        if isinstance(value, np.ndarray)
+        else value
+        for name, value in ((field.name, getattr(options, field.name)) for field in fields(options))
+    }
 
 
 def _on_lines(measured: Measurements) -> list[str]:
@@ -259,7 +321,9 @@ def _cameras(
         turn = camera_turn(known)
         still = [f"the given cameras hardly turn: {turn:.1f} degrees in all; depth is poorly determined"]
         return CameraEstimate(known, np.ones(measured.frames), rank=0, warnings=still if turn < LEAST_TURN else [])
-    shrunk = shrink_singular_values(values, (len(vectors), measured.count), noise)
+    # The published estimators take the leading directions as they are.
+    level = noise if options.camera_method in ("intersection", "rigid") else 0.0
+    shrunk = shrink_singular_values(values, (len(vectors), measured.count), level)
     kept = (shrunk > 0) & (values > 1e-7 * values[0])
     kept[:3] = True
     factor = vectors[:, kept] * np.where(shrunk > 0, shrunk, values)[kept]
@@ -302,6 +366,7 @@ def _mirror(
 def _camera_report(cameras: CameraEstimate, mirror: dict[str, Any]) -> dict[str, Any]:
     return {
         "known": False,
+        "method": cameras.method,
         "rank": cameras.rank,
         "path": cameras.path,
         "turn": cameras.turn,

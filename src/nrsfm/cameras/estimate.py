@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from nrsfm.cameras import intersection, orbit, refinement, selection, signs
+from nrsfm.cameras.intersection import Upgraded
 from nrsfm.cameras.options import CameraOptions
 from nrsfm.cameras.rigid import rigid_upgrade
 from nrsfm.errors import InputError
@@ -27,6 +29,9 @@ SIZE_CHANGE = 0.15
 ORBIT_DEVIATION = 12.0
 ORBIT_SHARE = 0.03
 REFINED_TURN = 180.0
+
+PUBLISHED = ("trajectory", "grown", "smoothest", "averaged", "proximal")
+"""Estimators that are a module of this package each, with a function ``upgrade(basis, rank, rng) -> Upgraded``."""
 
 Progress = Callable[[str, float | None], None]
 
@@ -52,6 +57,8 @@ class CameraEstimate:
         The largest angle in degrees between the viewing directions of two frames.
     path
         ``"free"`` or ``"orbit"`` (an even turn, see :mod:`nrsfm.cameras.orbit`).
+    method
+        The estimator, one of the choices of the option ``camera_method``.
     """
 
     rotations: np.ndarray
@@ -61,6 +68,7 @@ class CameraEstimate:
     warnings: list[str] = field(default_factory=list)
     turn: float = 0.0
     path: str = "free"
+    method: str = "intersection"
 
 
 def estimate_cameras(
@@ -89,9 +97,32 @@ def estimate_cameras(
         raise InputError(f"factor: shape (2 × frames, r) with at least 2 frames is needed, received {factor.shape}")
     if not np.isfinite(factor).all():
         raise InputError("factor: every entry must be finite, received NaN or infinity")
+    report = progress or (lambda stage, fraction: None)
     # Matrices of some 100 rows: a BLAS with several threads was seen to take 10 to 80 times as long.
     with single_thread():
-        return _estimate(factor, options, seed, progress or (lambda stage, fraction: None))
+        if options.camera_method in PUBLISHED:
+            return _published(factor, options, seed, report)
+        return _estimate(factor, options, seed, report)
+
+
+def _published(factor: np.ndarray, options: CameraOptions, seed: int, report: Progress) -> CameraEstimate:
+    """An estimator as it was published; signs, object frame and scales are settled as for the others."""
+    name = str(options.camera_method)
+    module = importlib.import_module(f"nrsfm.cameras.{name}")
+    basis = intersection.dominant_basis(factor, 3 * (options.camera_rank or LARGEST_RANK))
+    warnings: list[str] = []
+    if basis.shape[1] < 3:
+        warnings.append(f"the tracks have rank {basis.shape[1]}, below 3: there is no depth in them to recover")
+        basis = np.hstack([basis, np.zeros((len(basis), 3 - basis.shape[1]))])
+    found: Upgraded = module.upgrade(basis, options.camera_rank, np.random.default_rng(seed))
+    rotations = signs.canonical(found.rotations)
+    turn = camera_turn(rotations)
+    if turn < LEAST_TURN:
+        warnings.append(f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined")
+    report("cameras", 1.0)
+    row = {"K": found.rank, "start": name, "cost": found.cost, "chosen": True}
+    scales = _scales(rotations, basis, options)
+    return CameraEstimate(rotations, scales, found.rank, [row], [*warnings, *found.warnings], turn, "free", name)
 
 
 def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Progress) -> CameraEstimate:
@@ -143,7 +174,8 @@ def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Pro
         warnings.append(f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined")
     report("cameras", 1.0)
     logger.debug("cameras: K=%d, %s path, turn %.1f degrees, %d candidates", rank, shape, turn, len(rows))
-    return CameraEstimate(rotations, scales, rank, rows, warnings, turn, shape)
+    name = options.camera_method or "intersection"
+    return CameraEstimate(rotations, scales, rank, rows, warnings, turn, shape, name)
 
 
 def _solve(

@@ -35,6 +35,16 @@ class Upgrade:
     iterations: int
 
 
+@dataclass(frozen=True)
+class Upgraded:
+    """What a published estimator gives: rotations (F, 3, 3), signs settled, its K and its residual per frame."""
+
+    rotations: np.ndarray
+    rank: int
+    cost: float
+    warnings: tuple[str, ...] = ()
+
+
 def dominant_basis(factor: np.ndarray, width: int) -> np.ndarray:
     """Π = UΣ (2F, w): the leading columns of the factor's eigenbasis, w = min(width, numerical rank)."""
     from scipy.linalg import eigh

@@ -11,11 +11,15 @@ from nrsfm.options import option
 class CameraOptions:
     """How the camera rotations are estimated when they are not given."""
 
-    camera_method: str = option(
-        "intersection",
-        "Estimator: 'intersection' (metric upgrade of a rank-3K factorisation; Dai, Li and He 2014) or 'rigid' "
-        "(rank-3 factorisation; Tomasi and Kanade 1992).",
-        choices=("intersection", "rigid"),
+    camera_method: str | None = option(
+        None,
+        "Estimator: 'intersection' (metric upgrade of a rank-3K factorisation; Dai, Li and He 2014), 'rigid' "
+        "(rank-3 factorisation; Tomasi and Kanade 1992), 'trajectory' (upgrade of the constant triplet of a "
+        "trajectory basis; Akhter et al. 2008), 'grown' (the same, K grown until it gains nothing; Gotardo and "
+        "Martinez 2011), 'smoothest' (of the K triplets' paths the smoothest; Kumar 2020), 'averaged' (rotation "
+        "average of the K triplets; Kumar and Van Gool 2022) or 'proximal' (thresholded Gram matrix; Ansari, Golyanik "
+        "and Stricker 2017). Default: the one that the method was published with.",
+        choices=("intersection", "rigid", "trajectory", "grown", "smoothest", "averaged", "proximal"),
     )
     camera_rank: int | None = option(
         None, "Number of basis shapes in the metric upgrade. Default: chosen from the data.", symbol="K", minimum=1

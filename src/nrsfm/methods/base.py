@@ -7,7 +7,7 @@ does no I/O, draws no progress, times nothing and aligns nothing: the pipeline d
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,12 +17,39 @@ from nrsfm.options import option
 
 
 @dataclass(frozen=True)
+class Needs:
+    """What a method needs of its input; the pipeline refuses what does not have it.
+
+    ``frame_order``: frames follow one another in time. ``every_point``: works on the real points, because its terms
+    are not preserved by the compression. ``neighbours``: also knows which points are neighbours (implies
+    ``every_point``). ``complete``: every point seen in every frame.
+    """
+
+    frame_order: bool = False
+    every_point: bool = False
+    neighbours: bool = False
+    complete: bool = True
+    least_frames: int = 3
+    least_points: int = 4
+
+    def __str__(self) -> str:
+        words = ["complete tracks"] if self.complete else []
+        words += ["frames in order"] if self.frame_order else []
+        words += ["neighbours (mesh, grid or found)"] if self.neighbours else []
+        if self.least_frames > 3:
+            words.append(f"{self.least_frames} frames")
+        return ", ".join(words) or "nothing"
+
+
+@dataclass(frozen=True)
 class Problem:
     """What a method works on, in units in which the centred tracks have root mean square 1.
 
     ``tracks`` (F, 2, N): virtual tracks, cells side by side. ``offsets`` (K+1,): cell k owns columns
     ``offsets[k]:offsets[k+1]``. ``sizes`` (K,): real points of each cell. ``rotations`` (F, 2, 3): the upper rows of
-    the cameras. ``noise``: standard deviation of a real coordinate.
+    the cameras. ``noise``: standard deviation of a real coordinate. ``cameras_known``: the cameras were given; a
+    method that estimates cameras and shapes together then leaves them as they are. A method that needs every point
+    gets the real tracks, in the order of the input, in place of virtual ones.
     """
 
     tracks: np.ndarray
@@ -30,6 +57,7 @@ class Problem:
     sizes: np.ndarray
     rotations: np.ndarray
     noise: float
+    cameras_known: bool = True
 
     @property
     def points(self) -> int:
@@ -52,12 +80,17 @@ class Problem:
         live[0] = True
         tracks = (left[:, live] * values[live]).reshape(len(self.tracks), 2, -1)
         offsets, sizes = np.array([0, tracks.shape[2]]), np.array([self.points])
-        return Problem(tracks, offsets, sizes, self.rotations, self.noise), right[live]
+        return replace(self, tracks=tracks, offsets=offsets, sizes=sizes), right[live]
 
 
 @dataclass
 class Solution:
-    """What a method found. ``groups`` (K,): subspace label of each cell, or None."""
+    """What a method found: ``shapes`` (F, 3, N).
+
+    ``groups`` (K,): subspace label of each cell, or None. ``rotations`` (F, 2, 3) and ``scales`` (F,): only of a
+    method that estimates cameras together with shapes, and only if they were not known; ``tracks[f] ≈ scales[f] ·
+    rotations[f] @ shapes[f]`` then.
+    """
 
     shapes: np.ndarray
     groups: np.ndarray | None
@@ -66,13 +99,19 @@ class Solution:
     history: dict[str, list[float]]
     chosen: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    rotations: np.ndarray | None = None
+    scales: np.ndarray | None = None
 
 
 Monitor = Callable[[float], None]  # told the share of the work that is done, 0 to 1
 
 
 class Method(Protocol):
-    """One method of the comparison. Instances are stateless; each lives in its own file."""
+    """One method of the comparison. Instances are stateless; each lives in its own file.
+
+    ``cost`` is in F, P, K. ``camera_method`` is the camera estimator of the publication, used unless the caller names
+    another. ``denoise``: whether the compression shrinks noise by default (not part of any published method).
+    """
 
     name: str
     title: str
@@ -80,6 +119,9 @@ class Method(Protocol):
     summary: str
     assumes: str
     cost: str
+    needs: Needs
+    camera_method: str
+    denoise: bool
     Options: type
 
     def cells(self, options: Any, points: int, frames: int) -> int:

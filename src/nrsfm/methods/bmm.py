@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrsfm.methods.base import LowRankOptions, Monitor, Problem, Solution, solve_global
+from nrsfm.methods.base import LowRankOptions, Monitor, Needs, Problem, Solution, solve_global
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,9 @@ class Bmm:
     summary = "global low rank of the shapes over frames, by the nuclear norm"
     assumes = "few deformation modes in all; cameras that turn"
     cost = "2F²P once; F²·min(2F, P) per iteration"
+    needs = Needs()
+    camera_method = "intersection"
+    denoise = True
     Options = BmmOptions
 
     def cells(self, options: BmmOptions, points: int, frames: int) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 from nrsfm.manifolds.grassmann import projection_kernel, similarity_graph
 from nrsfm.manifolds.projection import project, reduced_dimension
 from nrsfm.manifolds.self_expression import SelfExpression
-from nrsfm.methods.base import LowRankState, Monitor, Problem, Solution, run_iterations, solve_global
+from nrsfm.methods.base import LowRankState, Monitor, Needs, Problem, Solution, run_iterations, solve_global
 from nrsfm.methods.local import SpatialOptions, SpatialSubspaces, default_cells
 from nrsfm.options import option
 
@@ -75,6 +75,9 @@ class GeometryAware:
     summary = "global low rank, with local subspaces of trajectories grouped on a lower-dimensional Grassmann manifold"
     assumes = "surface made of parts that each move in a low-dimensional subspace, like their neighbours"
     cost = "2F²P once; F²N per iteration and F³ per regrouping, N virtual points"
+    needs = Needs()
+    camera_method = "intersection"
+    denoise = True
     Options = GeometryAwareOptions
 
     def cells(self, options: GeometryAwareOptions, points: int, frames: int) -> int:

@@ -20,7 +20,7 @@ from nrsfm.clustering import kmeans
 from nrsfm.manifolds.grassmann import projection_kernel
 from nrsfm.manifolds.local import ColumnCells, refine_groups
 from nrsfm.manifolds.self_expression import SelfExpression
-from nrsfm.methods.base import LowRankState, Monitor, Problem, Solution, run_iterations
+from nrsfm.methods.base import LowRankState, Monitor, Needs, Problem, Solution, run_iterations
 from nrsfm.methods.local import SpatialOptions, SpatialSubspaces, default_cells, regrouped
 from nrsfm.options import option
 
@@ -151,6 +151,9 @@ class Grassmann:
     summary = "global low rank, with local subspaces of trajectories and of shapes grouped on Grassmann manifolds"
     assumes = "surface made of parts that each move in a low-dimensional subspace"
     cost = "2F²P once; F²N + K_s²F per iteration, N virtual points"
+    needs = Needs()
+    camera_method = "intersection"
+    denoise = True
     Options = GrassmannOptions
 
     def cells(self, options: GrassmannOptions, points: int, frames: int) -> int:
