@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CAMERAS = ("own", "intersection", "known")
-"""The estimator that the method was published with; the intersection method, shared by all methods; the true cameras."""
+"""The estimator that the method was published with; the intersection method, for every method; the true cameras."""
 
 Record = dict[str, Any]
 """What is kept of a cell: plain values by name of the measure, or ``{"error": text}`` for a cell that failed."""
