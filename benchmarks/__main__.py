@@ -1,4 +1,4 @@
-"""``python -m benchmarks [SECTION ...]``: measure, print the tables, write docs/results.md."""
+"""``python -m benchmarks [SECTION ...]``: measure, print the tables, write docs/benchmarks.md."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def main(words: list[str] | None = None) -> int:
         "--jobs",
         type=int,
         default=min(store.cores(), 4),
-        help="processes for accuracy, real, mocap and ablation, one thread each [default: %(default)s]; what is timed "
+        help="processes for accuracy, real and mocap, one thread each [default: %(default)s]; what is timed "
         "runs alone",
     )
     parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="only sequences whose names hold a WORD")

@@ -1,11 +1,11 @@
-"""``docs/results.md``: every kept number, beside its target, written by rules."""
+"""``docs/benchmarks.md``: every kept number, beside its target, written by rules."""
 
 from __future__ import annotations
 
 from types import ModuleType
 from typing import Any
 
-from benchmarks import ablation, accuracy, mocap, quiet, real, scaling, speed, start, store
+from benchmarks import accuracy, mocap, quiet, real, scaling, speed, start, store
 from benchmarks.tables import NO, YES, Check, Fact, table
 
 SECTIONS: dict[str, ModuleType] = {
@@ -15,7 +15,6 @@ SECTIONS: dict[str, ModuleType] = {
     "speed": speed,
     "scaling": scaling,
     "start": start,
-    "ablation": ablation,
 }
 
 
@@ -35,7 +34,7 @@ def write_page() -> tuple[list[Check | Fact], dict[str, str]]:
     kept = {name: found for name in SECTIONS if (found := store.read(name)) is not None}
     found = {name: SECTIONS[name].checks(kept[name]["values"]) for name in kept}
     lines = [
-        "# Results",
+        "# Benchmarks",
         "",
         "Written by `make bench` (`python -m benchmarks`); do not edit. Every number was measured, with one set of",
         "defaults for every row; nothing was set by the name of a sequence. ✓ and ✗ compare the unrounded number with",

@@ -14,7 +14,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "bench-output"
-PAGE = ROOT / "docs" / "results.md"
+PAGE = ROOT / "docs" / "benchmarks.md"
 
 # Parts of the package that cannot change a number: a new picture does not make old results stale.
 _WITHOUT_NUMBERS = ("cli", "viewing")

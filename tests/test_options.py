@@ -121,9 +121,9 @@ def test_every_option_of_the_package_is_documented_and_its_default_is_allowed(op
     for field in dataclasses.fields(options):
         assert field.metadata["doc"].endswith(".")
         default = field.default
-        assert kinds[field.name][0] in (int, float, bool, str)
+        assert kinds[field.name][0] in (int, float, bool, str, np.ndarray)
         assert getattr(build_options(options, {field.name: default}), field.name) == default
-        assert field.metadata["choices"] is None or default in field.metadata["choices"]
+        assert field.metadata["choices"] is None or default is None or default in field.metadata["choices"]
     assert dataclasses.is_dataclass(options)
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(options(), dataclasses.fields(options)[0].name, 1)

@@ -13,7 +13,7 @@ from nrsfm.compression import measure
 from nrsfm.errors import InputError, MissingEntriesError, NrsfmError, OptionError
 from nrsfm.metrics import shape_error
 
-METHODS = nrsfm.method_names()
+METHODS = ["bmm", "grassmann", "geometry-aware"]
 QUICK = {"max_iterations": 60}
 
 
@@ -293,6 +293,42 @@ def test_missing_entries_are_refused_with_their_number_and_place():
 def test_bad_options_are_refused_with_the_nearest_name(options, text):
     with pytest.raises(OptionError, match=text):
         nrsfm.reconstruct(TRACKS, **options)
+
+
+@pytest.mark.parametrize("options", [{"camera_path": "orbit"}, {"camera_method": "smoothest"}])
+def test_cameras_that_use_the_order_of_frames_are_refused_without_one(options):
+    with pytest.raises(InputError, match="needs frames that follow one another in time"):
+        nrsfm.reconstruct(TRACKS, ordered=False, **options)
+
+
+def test_a_method_gets_what_it_declares_to_need(monkeypatch):
+    """Every real point, in order; a refusal of what is too little; cameras that it moved are returned."""
+    from nrsfm.methods import bmm
+    from nrsfm.methods.base import Needs
+
+    seen = {}
+
+    def solve(self, problem, options, rng, monitor):
+        seen["problem"] = problem
+        solution = solve_before(self, problem, options, rng, monitor)
+        solution.rotations, solution.scales = problem.rotations[:, ::-1], np.full(len(TRACKS), 2.0)
+        return solution
+
+    solve_before = bmm.Bmm.solve
+    monkeypatch.setattr(bmm.Bmm, "solve", solve)
+    monkeypatch.setattr(bmm.Bmm, "needs", Needs(every_point=True, least_frames=6, least_points=9))
+    result = nrsfm.reconstruct(TRACKS, "bmm", ROTATIONS, precision="float64")
+    problem = seen["problem"]
+    assert problem.cameras_known
+    centred = TRACKS - TRACKS.mean(axis=1, keepdims=True)
+    ratio = centred.transpose(0, 2, 1) / problem.tracks
+    np.testing.assert_allclose(ratio, ratio[0, 0, 0])
+    np.testing.assert_allclose(result.rotations[:, 0], ROTATIONS[:, 1])
+    np.testing.assert_allclose(result.scales, 2.0)
+    with pytest.raises(InputError, match="method 'bmm' needs at least 6 frames, received 5"):
+        nrsfm.reconstruct(TRACKS[:5], "bmm")
+    with pytest.raises(InputError, match="method 'bmm' needs at least 9 points, received 8"):
+        nrsfm.reconstruct(TRACKS[:, :8], "bmm")
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "0", None, True])

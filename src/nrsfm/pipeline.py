@@ -142,6 +142,7 @@ def reconstruct(
         (PipelineOptions, CameraOptions, solver.Options), options, f"method '{method}'"
     )
     _require(solver, tracks, pipeline)
+    camera = _camera_options(camera, solver, own, ordered=pipeline.ordered)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed must be a whole number, at least 0, received {seed!r}")
     known = None if rotations is None else cameras_from_known(rotations, tracks.n_frames)
@@ -188,7 +189,6 @@ def _run(
             values, vectors = spectrum(measured)
         coordinates = track_coordinates(measured, vectors[:, :_COORDINATES])
         noise = _noise_level(measured, values, coordinates, pipeline, rng)
-    camera = _camera_options(camera, method, own)
     denoise = method.denoise if pipeline.denoise is None else pipeline.denoise
     with stages("cameras") as monitor:
         cameras = _cameras(measured, values, vectors, known, noise, camera, seed, monitor)
@@ -245,14 +245,19 @@ def _run(
     )
 
 
-def _camera_options(options: CameraOptions, method: Method, own: Any) -> CameraOptions:
+def _camera_options(options: CameraOptions, method: Method, own: Any, *, ordered: bool) -> CameraOptions:
     """The camera options with the method's own estimator, and its own K, where none is named."""
-    if options.camera_method not in (None, method.camera_method):
+    name = options.camera_method or method.camera_method
+    if not ordered:
+        for wrong in {options.camera_path, name} & {"orbit", "smoothest"}:
+            raise InputError(f"cameras: '{wrong}' needs frames that follow one another in time, received ordered=False")
+        options = replace(options, camera_path="free")
+    if name != method.camera_method:
         return options
     rank = options.camera_rank if options.camera_rank is not None else getattr(own, "rank", None)
     if method.camera_method == "intersection":
         rank = options.camera_rank  # its K is a number of its own
-    return replace(options, camera_method=method.camera_method, camera_rank=rank)
+    return replace(options, camera_method=name, camera_rank=rank)
 
 
 def _moved_by_the_method(cameras: CameraEstimate, solution: Solution) -> CameraEstimate:

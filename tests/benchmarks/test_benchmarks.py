@@ -79,7 +79,7 @@ def test_the_mirror_passes_when_right_or_when_the_user_is_warned():
 def test_the_page_lists_what_was_missed_what_failed_and_what_is_stale(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "ROOT", tmp_path)
     monkeypatch.setattr(store, "OUTPUT", tmp_path / "kept")
-    monkeypatch.setattr(store, "PAGE", tmp_path / "results.md")
+    monkeypatch.setattr(store, "PAGE", tmp_path / "benchmarks.md")
     monkeypatch.setattr(store, "code_digest", lambda: "new")
     records = _records(0.05)
     key = next(iter(records))
@@ -87,7 +87,7 @@ def test_the_page_lists_what_was_missed_what_failed_and_what_is_stale(tmp_path, 
     store.write("accuracy", {"records": records})
     missed, errors = page.write_page()
     assert not store.PAGE.exists(), "an incomplete page must not replace a complete one"
-    text = (tmp_path / "kept" / "results.md").read_text(encoding="utf-8")
+    text = (tmp_path / "kept" / "benchmarks.md").read_text(encoding="utf-8")
     assert missed
     assert errors == {key: "ValueError: no"}
     assert all(f"- {check.what}: {check.cell()}" in text for check in missed)

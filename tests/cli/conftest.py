@@ -44,7 +44,9 @@ def _method(name, options):
         year=2012,
         summary="A stand-in.",
         assumes="nothing",
+        needs="complete tracks",
         cost="none",
+        camera_method="intersection",
         Options=options,
     )
 

@@ -3,6 +3,9 @@
 import json
 
 import numpy as np
+import pytest
+
+from nrsfm.cli.text import table
 
 
 def test_info_of_tracks(command, tracks_file):
@@ -43,10 +46,24 @@ def test_info_of_no_file(command, tmp_path):
 def test_methods(command, pipeline):
     code, out, err = command("methods")
     assert (code, err) == (0, "")
-    assert "bmm: Bmm (2012)" in out
-    assert "  assumes  nothing" in out
+    header, _, first, *_ = out.splitlines()
+    assert header.split() == ["method", "year", "assumes", "needs", "cost"]
+    assert first.split() == ["bmm", "2012", "nothing", "complete", "tracks", "none"]
     _, out, _ = command("methods", "--json")
-    assert [method["name"] for method in json.loads(out)] == ["bmm", "geometry-aware"]
+    found = json.loads(out)
+    assert [method["name"] for method in found] == ["bmm", "geometry-aware"]
+    assert (found[0]["needs"], found[0]["camera_method"]) == ("complete tracks", "intersection")
+
+
+@pytest.mark.parametrize("width", [60, 100, 500])
+def test_tables_keep_every_word_and_the_width(width):
+    rows = [["bmm", "2014", "few deformation modes in all, and cameras that turn", "2F²P once"], ["a", "1", "", "x " * 40]]
+    text = table(["name", "year", "assumes", "cost"], rows, width)
+    assert max(map(len, text.splitlines())) <= width
+    for row in rows:
+        for cell in row:
+            for word in cell.split():
+                assert word in text
 
 
 def test_datasets_say_which_are_here(command, monkeypatch, tmp_path):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+import textwrap
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,27 @@ def columns(lines: Iterable[tuple[str, str]]) -> str:
     pairs = list(lines)
     width = max((len(name) for name, _ in pairs), default=0)
     return "\n".join(f"{name:<{width}}  {text}".rstrip() for name, text in pairs)
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> str:
+    """Return a table whose last columns are wrapped, evenly, so that no line is longer than ``width``.
+
+    The first two columns keep their width.
+    """
+    cells = [list(header), *(list(row) for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    room = max(width - sum(widths[:2]) - 2 * (len(header) - 1), 12 * len(widths[2:]))
+    while sum(widths[2:]) > room:
+        widest = max(range(2, len(widths)), key=lambda i: widths[i])
+        widths[widest] -= 1
+    lines = []
+    for number, row in enumerate(cells):
+        parts = [textwrap.wrap(text, size) or [""] for text, size in zip(row, widths, strict=True)]
+        for line in zip_longest(*parts, fillvalue=""):
+            lines.append("  ".join(f"{text:<{size}}" for text, size in zip(line, widths, strict=True)).rstrip())
+        if number == 0:
+            lines.append("  ".join("-" * size for size in widths))
+    return "\n".join(lines)
 
 
 def to_json(value: Any) -> str:
