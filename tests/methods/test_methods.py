@@ -98,6 +98,16 @@ def test_without_grouping_and_time_the_two_algorithms_agree(sequence):
     np.testing.assert_allclose(first, second, rtol=0, atol=1e-9 * np.abs(first).max())
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("rank", [1, 3])
+def test_rank_is_bounded_when_asked(method, noise, rank, sequence):
+    shapes, solution = solved(sequence(noise=noise, rank=4), method, noise=noise, rank=rank)
+    values = np.linalg.svd(shapes.reshape(len(shapes), -1), compute_uv=False)
+    assert solution.chosen["rank"] == rank
+    assert values[rank] < 1e-3 * values[0]
+
+
 SWITCHES = [
     {"spatial": False},
     {"grouping": False},

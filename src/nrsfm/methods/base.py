@@ -151,6 +151,12 @@ class LowRankOptions:
         symbol="ε",
         minimum=0,
     )
+    rank: int | None = option(
+        None,
+        "Largest rank of S♯, the number of basis shapes. Default: none; the norm decides.",
+        symbol="K",
+        minimum=1,
+    )
     beta: float | None = option(
         None,
         "First penalty of the multiplier method. Default: the value at which the first threshold equals the largest "
@@ -213,7 +219,7 @@ class LowRankState:
         reweight = self.options.reweight if self.options.reweight > 0 else None
         start = self.multiplier / -self.beta
         start += self.shapes
-        self.low_rank, values = threshold_over_frames(start, self.gamma / self.beta, reweight)
+        self.low_rank, values = threshold_over_frames(start, self.gamma / self.beta, reweight, self.options.rank)
         self.rank = int(np.count_nonzero(values))
         self.nuclear = float(values.sum())
 

@@ -10,12 +10,12 @@ import numpy as np
 
 
 def threshold_over_frames(
-    shapes: np.ndarray, threshold: float, reweight: float | None = None
+    shapes: np.ndarray, threshold: float, reweight: float | None = None, rank: int | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Soft-threshold the singular values of S♯; returns shapes (F, 3, N) and the new singular values.
 
     ``reweight`` ε replaces the threshold τ of σ_i by τ·εσ₁/(σ_i + εσ₁) (reweighted nuclear norm), which leaves
-    large singular values almost as they are. Equation: S♯ ← U S_τ(Σ) Vᵀ.
+    large singular values almost as they are. ``rank`` keeps at most so many. Equation: S♯ ← U S_τ(Σ) Vᵀ.
     """
     flat = shapes.reshape(len(shapes), -1)
     by_frames = len(flat) <= flat.shape[1]
@@ -26,6 +26,8 @@ def threshold_over_frames(
     if reweight is not None and values[0] > 0:
         cut *= reweight * values[0] / (values + reweight * values[0])
     kept = np.maximum(values - cut, 0.0)
+    if rank is not None:
+        kept[rank:] = 0.0
     live = kept > 0
     basis, gain = vectors[:, live], kept[live] / values[live]
     out = (basis * gain) @ (basis.T @ flat) if by_frames else ((flat @ basis) * gain) @ basis.T
