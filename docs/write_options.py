@@ -10,6 +10,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nrsfm.cameras.options import CameraOptions
 from nrsfm.cli.arguments import flag_of
 from nrsfm.methods import get_method, method_names
@@ -71,6 +73,11 @@ def _new_fields(cls: type) -> list[dataclasses.Field[Any]]:
     ]
 
 
+def _declarer(name: str, cls: type) -> type:
+    """The class from which ``cls`` has the option of that name."""
+    return next(base for base in cls.__mro__ if name in (field.name for field in _new_fields(base)))
+
+
 def _section(title: str, text: str, cls: type, takers: dict[str, type] | None = None) -> list[str]:
     rows = [
         "| option | flag | symbol | default | allowed | meaning |",
@@ -86,7 +93,7 @@ def _row(field: dataclasses.Field[Any], cls: type, takers: dict[str, type]) -> s
         f"`{field.name}`",
         f"`{flag_of(field.name)}`",
         field.metadata["symbol"],
-        _defaults(field.name, takers),
+        _defaults(field.name, {name: taker for name, taker in takers.items() if _declarer(field.name, taker) is cls}),
         _allowed(field, kind) + (", or `None`" if optional else ""),
         " ".join(field.metadata["doc"].split()),
     ]
@@ -118,7 +125,7 @@ def _allowed(field: dataclasses.Field[Any], kind: type) -> str:
         return "`True`, `False`"
     bounds = [("above", ">"), ("minimum", "≥"), ("maximum", "≤")]
     parts = [f"{sign} {rule[name]:g}" for name, sign in bounds if rule[name] is not None]
-    what = {int: "whole number", float: "number", str: "word"}[kind]
+    what = {int: "whole number", float: "number", str: "word", np.ndarray: "array"}[kind]
     return f"{what} {', '.join(parts)}".strip()
 
 

@@ -252,11 +252,13 @@ def _camera_options(options: CameraOptions, method: Method, own: Any, *, ordered
         for wrong in {options.camera_path, name} & {"orbit", "smoothest"}:
             raise InputError(f"cameras: '{wrong}' needs frames that follow one another in time, received ordered=False")
         options = replace(options, camera_path="free")
+    if method.needs.unscaled and options.scales == "auto":
+        options = replace(options, scales="fixed")
     if name != method.camera_method:
         return options
     rank = options.camera_rank if options.camera_rank is not None else getattr(own, "rank", None)
-    if method.camera_method == "intersection":
-        rank = options.camera_rank  # its K is a number of its own
+    if method.camera_method in ("intersection", "grown", "rigid"):
+        rank = options.camera_rank  # their K is a number of its own, or none
     return replace(options, camera_method=name, camera_rank=rank)
 
 

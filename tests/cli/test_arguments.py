@@ -1,5 +1,6 @@
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -94,3 +95,32 @@ def test_help_shows_symbol_default_and_text():
 
 def test_a_flag_is_spelled_like_its_field():
     assert flag_of("max_rank") == "--max-rank"
+
+
+@dataclass(frozen=True)
+class ArrayOptions:
+    faces: np.ndarray | None = option(None, "Mesh.")  # noqa: RUF009
+
+
+def read_faces(*words):
+    made = Parser(prog="nrsfm verb")
+    add_options(made, "options of the method", ArrayOptions)
+    return given_options(made.parse_strictly(words))["faces"]
+
+
+def test_an_array_is_read_from_a_file(tmp_path):
+    faces = np.array([[0, 1, 2], [1, 2, 3]])
+    np.save(tmp_path / "alone.npy", faces)
+    np.savez(tmp_path / "one.npz", triangles=faces)
+    np.savez(tmp_path / "two.npz", faces=faces, other=faces + 1)
+    for name in ("alone.npy", "one.npz", "two.npz"):
+        np.testing.assert_array_equal(read_faces("--faces", str(tmp_path / name)), faces)
+    assert read_faces("--faces", "auto") is None
+
+
+def test_a_file_without_that_array_is_refused_in_one_line(tmp_path):
+    np.savez(tmp_path / "two.npz", a=np.zeros(3), b=np.zeros(4))
+    with pytest.raises(OptionError, match=r"must hold an array 'faces', or one array only; it holds a .*, b"):
+        read_faces("--faces", str(tmp_path / "two.npz"))
+    with pytest.raises(OptionError, match="cannot read"):
+        read_faces("--faces", str(tmp_path / "none.npy"))

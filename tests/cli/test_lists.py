@@ -57,7 +57,7 @@ def test_methods(command, pipeline):
 
 @pytest.mark.parametrize("width", [60, 100, 500])
 def test_tables_keep_every_word_and_the_width(width):
-    rows = [["bmm", "2014", "few deformation modes in all, and cameras that turn", "2F²P once"], ["a", "1", "", "x " * 40]]
+    rows = [["bmm", "2014", "few modes in all, and cameras that turn", "2F²P once"], ["a", "1", "", "x " * 40]]
     text = table(["name", "year", "assumes", "cost"], rows, width)
     assert max(map(len, text.splitlines())) <= width
     for row in rows:

@@ -69,7 +69,7 @@ def test_tracks_are_explained_and_the_shape_is_found(method, data, plain):
     seen = np.einsum("fij,fpj->fpi", result.rotations, result.shapes)[..., :2] * result.scales[:, None, None]
     seen += result.translations[:, None]
     spread = np.sqrt(np.mean((data.tracks - data.tracks.mean(axis=1, keepdims=True)) ** 2))
-    assert np.sqrt(np.mean((seen - data.tracks) ** 2)) < 0.25 * spread
+    assert np.sqrt(np.mean((seen - data.tracks) ** 2)) < 0.3 * spread
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -24,7 +24,7 @@ JUDGED_RANKS = (1, 2, 3, 4, 5, 7, 8, 10, 12, 13)
 """Chosen once on the tuning sequences of docs/cameras.md; see there."""
 
 ONE_SCALE_FRAMES = 20.0
-LEAST_TURN = 10.0
+LEAST_TURN = 20.0
 SIZE_CHANGE = 0.15
 ORBIT_DEVIATION = 12.0
 ORBIT_SHARE = 0.03

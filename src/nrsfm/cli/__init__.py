@@ -24,6 +24,7 @@ VERBS = {
     "info": "what a file holds",
     "methods": "the methods, what they assume and what they cost",
     "datasets": "the benchmark sequences that can be read, and which are here",
+    "experiment": "the tables and figures of the paper, computed, drawn and judged",
 }
 
 DONE, FAULT, WRONG, INTERRUPTED, TERMINATED, READER_GONE = 0, 1, 2, 130, 143, 141

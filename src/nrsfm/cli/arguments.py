@@ -8,6 +8,8 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
+import numpy as np
+
 from nrsfm.errors import OptionError, suggest
 from nrsfm.options import field_types
 
@@ -88,7 +90,7 @@ def add_options(parser: Parser, title: str, cls: type) -> None:
         if kind is bool:
             settings["action"] = argparse.BooleanOptionalAction
         else:
-            settings["type"] = _converter(kind, optional)
+            settings["type"] = _array_reader(field.name) if kind is np.ndarray else _converter(kind, optional)
             choices = field.metadata.get("choices")
             settings["metavar"] = "{" + ",".join(choices) + "}" if choices else _METAVARS.get(kind, "WORD")
         group.add_argument(flag_of(field.name), **settings)
@@ -99,7 +101,7 @@ def given_options(namespace: argparse.Namespace) -> dict[str, Any]:
     return {key[len(_DEST) :]: value for key, value in vars(namespace).items() if key.startswith(_DEST)}
 
 
-_METAVARS = {int: "N", float: "X"}
+_METAVARS = {int: "N", float: "X", np.ndarray: "FILE"}
 
 
 def _help(field: dataclasses.Field[Any], optional: bool) -> str:
@@ -121,6 +123,27 @@ def _word(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _array_reader(name: str) -> Callable[[str], np.ndarray | None]:
+    """Reads the array of that name from a file, or the only one that the file holds."""
+
+    def read(text: str) -> np.ndarray | None:
+        if text == "auto":
+            return None
+        from nrsfm.errors import FileError
+        from nrsfm.files.container import listing, open_arrays
+
+        try:
+            entries = open_arrays(text)
+            if name not in entries and len(entries) != 1:
+                raise FileError(f"'{text}' must hold an array '{name}', or one array only; it holds {listing(entries)}")
+            return (entries[name] if name in entries else next(iter(entries.values()))).read()
+        except FileError as error:
+            # argparse would replace the text of any other error.
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return read
 
 
 def _converter(kind: type, optional: bool) -> Callable[[str], Any]:

@@ -57,6 +57,7 @@ def run(words: Sequence[str]) -> int:
             record=record,
             faces=sequence.faces,
             edges=sequence.edges,
+            mesh=sequence.faces,
             unit="px",
         )
 

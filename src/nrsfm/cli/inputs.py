@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Inputs:
-    """What a run starts from; ``record`` is what ``config.json`` says of it, the rest is for pictures."""
+    """What a run starts from; ``record`` is what ``config.json`` says of it, the rest is for pictures.
+
+    ``mesh`` is the faces that came with the tracks, for methods that want neighbours.
+    """
 
     tracks: Tracks
     rotations: np.ndarray | None
@@ -22,4 +25,5 @@ class Inputs:
     record: dict[str, Any]
     faces: np.ndarray | None = None
     edges: np.ndarray | None = None
+    mesh: np.ndarray | None = None
     unit: str = ""

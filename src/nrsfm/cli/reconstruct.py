@@ -44,12 +44,14 @@ def run(words: Sequence[str]) -> int:
             "cameras": digest(given.cameras) if given.cameras else "estimated",
             "truth": digest(given.truth) if given.truth else None,
         }
+        aids = drawing_aids(given.tracks)
         return Inputs(
             tracks=tracks,
             rotations=load_rotations(given.cameras) if given.cameras else None,
             truth=load_truth(given.truth, given.truth_frame) if given.truth else None,
             record=record,
-            **drawing_aids(given.tracks, given.truth),
+            mesh=aids.get("faces"),
+            **(aids | drawing_aids(given.truth)),
         )
 
     return running.run("reconstruct", job, load)

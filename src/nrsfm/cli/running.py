@@ -36,6 +36,8 @@ from nrsfm.progress import Report, TerminalProgress, silent
 if TYPE_CHECKING:
     import argparse
 
+    import numpy as np
+
     from nrsfm.reconstruction import Reconstruction
 
 DEFAULT_METHOD = "geometry-aware"
@@ -149,6 +151,9 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
         inputs = load(stages)
         tracks, truth = inputs.tracks, inputs.truth
         _check_sizes(inputs)
+        mesh = _mesh_of_the_input(job, inputs)
+        if mesh:
+            log.info("faces: the %d that came with the tracks", len(mesh["faces"]))
         result = nrsfm.reconstruct(
             tracks,
             method=job.method,
@@ -156,6 +161,7 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
             seed=job.seed,
             progress=stages,
             **job.options,
+            **mesh,
         )
         stages("writing", None)
         result.save(folder / RECONSTRUCTION)
@@ -165,6 +171,7 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
             "method": job.method,
             "seed": job.seed,
             "threads": threads,
+            **({"faces": "came with the tracks"} if mesh else {}),
             "options": {name: value for name, value in result.options.items() if name != "seed"},
             "versions": versions(),
         }
@@ -203,6 +210,16 @@ def _draw(
         log.exception("a picture could not be drawn")
         return [f"not every picture could be drawn: {error} (log.txt says more)"]
     return []
+
+
+def _mesh_of_the_input(job: Job, inputs: Inputs) -> dict[str, np.ndarray]:
+    """The option ``faces``, where the method has it, the tracks came with a mesh and no other neighbours were named."""
+    from nrsfm.methods import get_method
+
+    names = {field.name for field in dataclasses.fields(get_method(job.method).Options)}
+    if inputs.mesh is None or "faces" not in names or {"faces", "grid"} & job.options.keys():
+        return {}
+    return {"faces": inputs.mesh}
 
 
 def _check_sizes(inputs: Inputs) -> None:

@@ -33,8 +33,10 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> s
     lines = []
     for number, row in enumerate(cells):
         parts = [textwrap.wrap(text, size) or [""] for text, size in zip(row, widths, strict=True)]
-        for line in zip_longest(*parts, fillvalue=""):
-            lines.append("  ".join(f"{text:<{size}}" for text, size in zip(line, widths, strict=True)).rstrip())
+        lines += [
+            "  ".join(f"{text:<{size}}" for text, size in zip(line, widths, strict=True)).rstrip()
+            for line in zip_longest(*parts, fillvalue="")
+        ]
         if number == 0:
             lines.append("  ".join("-" * size for size in widths))
     return "\n".join(lines)

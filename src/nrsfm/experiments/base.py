@@ -6,7 +6,7 @@ turns cells into records; an experiment only says which cells it wants and what 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,8 +24,9 @@ Record = dict[str, Any]
 class Data:
     """Which tracks: a data set, noise as a ratio of max|W| with its seed, and what is left out of the data set.
 
-    ``points`` and ``frames``: at most so many are kept, evenly spread points, the first frames. ``camera_path``: the
-    true shapes seen through a path of :mod:`nrsfm.experiments.paths` in place of the data set's own cameras.
+    ``points`` and ``frames``: at most so many are kept, evenly spread points, the first frames; a built-in sequence is
+    generated with exactly so many. ``camera_path``: the true shapes seen through a path of
+    :mod:`nrsfm.experiments.paths` in place of the data set's own cameras. The noise comes last.
     """
 
     sequence: str
@@ -38,13 +39,17 @@ class Data:
 
 @dataclass(frozen=True)
 class Cell:
-    """One call of ``reconstruct``, and the names of the measures (:mod:`nrsfm.experiments.measures`) taken of it."""
+    """One call of ``reconstruct``, and the names of the measures (:mod:`nrsfm.experiments.measures`) taken of it.
+
+    ``alone``: nothing else runs meanwhile, and every core may be used; for cells whose seconds are the result.
+    """
 
     data: Data
     method: str
     cameras: str = "own"
     options: tuple[tuple[str, Any], ...] = ()
     measures: tuple[str, ...] = ("errors", "rotation", "seconds", "memory")
+    alone: bool = False
 
     @property
     def key(self) -> str:
@@ -54,19 +59,52 @@ class Cell:
         words += [f"noise {data.noise:g} seed {data.seed}"] if data.noise else []
         words += [f"{n} {v}" for n in ("points", "frames", "camera_path") if (v := getattr(data, n)) is not None]
         words += [self.method, self.cameras, *(f"{name}={value}" for name, value in self.options)]
+        words += ["alone"] if self.alone else []
         return " | ".join([*words, *self.measures])
 
 
 @dataclass(frozen=True)
 class Scope:
-    """What a run may use: ``quick`` asks for little; ``sequences`` are the names of data sets whose files are there."""
+    """What a run may use: ``quick`` asks for little; ``sequences`` are the names of data sets whose files are there.
+
+    Among the sequences are built-in ones, in place of the faces whose files are not there, and in place of
+    everything where there is no folder of data. ``methods``: those asked for, ``None`` for every registered one.
+    """
 
     quick: bool
     sequences: tuple[str, ...]
+    methods: tuple[str, ...] | None = None
 
     def having(self, names: Sequence[str]) -> list[str]:
-        """Those of the names that are available, in the given order."""
-        return [name for name in names if name in self.sequences]
+        """Those of the names that are available, in the given order.
+
+        In place of one that is not comes the built-in sequence that stands in for it, if the scope has that.
+        """
+        found = [name if name in self.sequences else stand_in(name) for name in names]
+        return [name for name in dict.fromkeys(found) if name in self.sequences]
+
+    def faces(self) -> list[str]:
+        """The four dense faces, each as the original file, else as its stand-in, else built in."""
+        kinds = ("original-face", "face-seq", "built-in-face")
+        found = [next((f"{k}{i}" for k in kinds if f"{k}{i}" in self.sequences), None) for i in range(1, 5)]
+        return [name for name in found if name is not None]
+
+    def using(self, names: Collection[str] | None = None) -> list[str]:
+        """Those of the methods (default: all) that are registered and asked for, in the registry's order."""
+        from nrsfm.methods import method_names
+
+        return [
+            name
+            for name in method_names()
+            if (names is None or name in names) and (self.methods is None or name in self.methods)
+        ]
+
+
+def stand_in(name: str) -> str:
+    """The built-in sequence that takes the place of one whose files are not there."""
+    if name.startswith(("face-seq", "original-face")):
+        return f"built-in-face{name[-1]}"
+    return "built-in-face3" if name.startswith("ict-") or name == "face1" else "built-in-sheet"
 
 
 @dataclass(frozen=True)

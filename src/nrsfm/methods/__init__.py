@@ -11,6 +11,17 @@ _METHODS = {
     "bmm": ("nrsfm.methods.bmm", "Bmm"),
     "grassmann": ("nrsfm.methods.grassmann", "Grassmann"),
     "geometry-aware": ("nrsfm.methods.geometry_aware", "GeometryAware"),
+    "pta": ("nrsfm.methods.pta", "Pta"),
+    "csf1": ("nrsfm.methods.csf1", "Csf1"),
+    "csf2": ("nrsfm.methods.csf2", "Csf2"),
+    "ksta": ("nrsfm.methods.ksta", "Ksta"),
+    "mp": ("nrsfm.methods.mp", "Mp"),
+    "dv": ("nrsfm.methods.dv", "Dv"),
+    "ds": ("nrsfm.methods.ds", "Ds"),
+    "smsr": ("nrsfm.methods.smsr", "Smsr"),
+    "rbmm": ("nrsfm.methods.rbmm", "Rbmm"),
+    "organic": ("nrsfm.methods.organic", "Organic"),
+    "em-pnd": ("nrsfm.methods.em_pnd", "EmPnd"),
 }
 
 

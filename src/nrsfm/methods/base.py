@@ -22,13 +22,15 @@ class Needs:
 
     ``frame_order``: frames follow one another in time. ``every_point``: works on the real points, because its terms
     are not preserved by the compression. ``neighbours``: also knows which points are neighbours (implies
-    ``every_point``). ``complete``: every point seen in every frame.
+    ``every_point``). ``complete``: every point seen in every frame. ``unscaled``: the size of each frame is left to
+    the method, unless scales are asked for.
     """
 
     frame_order: bool = False
     every_point: bool = False
     neighbours: bool = False
     complete: bool = True
+    unscaled: bool = False
     least_frames: int = 3
     least_points: int = 4
 

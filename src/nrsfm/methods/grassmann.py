@@ -13,6 +13,7 @@ its group's subspace for reconstruction, so that groups can change again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -69,6 +70,7 @@ class TemporalSubspaces:
             labels = np.arange(frames) * count // frames
         else:
             labels = kmeans(shapes.reshape(frames, -1), count, rng)
+        self._labels = labels
         self._order = np.argsort(labels, kind="stable")
         self._inverse = np.argsort(self._order)
         self.cells = ColumnCells(np.concatenate([[0], np.cumsum(np.bincount(labels))]))
@@ -98,6 +100,11 @@ class TemporalSubspaces:
         dimensions = [self._options.temporal_dimension] * len(self._columns)
         refined = refine_groups(self._matrix(shapes), self._columns, dimensions, self._edge)
         return refined.T[self._inverse].reshape(shapes.shape)
+
+    def chosen(self) -> dict[str, Any]:
+        """The frames at which another group begins."""
+        labels = self.groups[self._labels]
+        return {"temporal_borders": (np.flatnonzero(np.diff(labels)) + 1).tolist()}
 
     def regroup(self, affinity: np.ndarray) -> None:
         """Regroup the cells of frames; they must be three or more."""
@@ -180,7 +187,8 @@ class Grassmann:
             return state.update_multiplier(gap)
 
         iterations, reason = run_iterations(state, step, monitor)
+        chosen = state.chosen() | (temporal.chosen() if temporal else {})
         if spatial is None:
-            return Solution(state.shapes, None, iterations, reason, state.history, state.chosen())
-        chosen = state.chosen() | spatial.chosen()
+            return Solution(state.shapes, None, iterations, reason, state.history, chosen)
+        chosen |= spatial.chosen()
         return Solution(spatial.expand(state.shapes), spatial.groups, iterations, reason, state.history, chosen)
