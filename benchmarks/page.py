@@ -5,13 +5,14 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any
 
-from benchmarks import accuracy, mocap, quiet, real, scaling, speed, start, store
+from benchmarks import accuracy, literature, mocap, quiet, real, scaling, speed, start, store
 from benchmarks.tables import NO, YES, Check, Fact, table
 
 SECTIONS: dict[str, ModuleType] = {
     "accuracy": accuracy,
     "real": real,
     "mocap": mocap,
+    "literature": literature,
     "speed": speed,
     "scaling": scaling,
     "start": start,
