@@ -113,8 +113,8 @@ def render(values: dict[str, Any]) -> list[str]:
     head = ["", "method", "options", "reference", "measured", "seconds", "error, our defaults", "seconds, our defaults"]
     lines += table(head, rows)
     lines += [
-        "The reference of `csf1` on a face is not said to be from this recording (74 frames, 37 points); the literature "
-        "mostly uses another one. Here K from 1 to 6, d from 7 to 45 and six kinds of cameras gave .036 at best.",
+        "The reference of `csf1` on a face is not said to be from this recording (74 frames, 37 points); others "
+        "used another one. Here K from 1 to 6, d from 7 to 45 and six kinds of cameras gave .036 at best.",
         "",
     ]
     return lines
