@@ -1,6 +1,7 @@
 # make demo    reconstruct, score and draw a built-in sequence, into demo-output/
 # make test    every test
-# make bench   every number of the documentation, measured again
+# make results every experiment of the paper, into experiments-output/ and docs/results.md (DATA=folder of data sets)
+# make bench   targets, speed and memory, measured again, into docs/benchmarks.md
 # make lint    format, rules and types
 # make clean   remove the environment and every output
 #
@@ -11,7 +12,7 @@ PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test bench lint format clean
+.PHONY: help demo test results bench lint format clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,6 +23,10 @@ demo: $(VENV)/installed
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest
+
+DATA ?= $(or $(NRSFM_DATA),$(wildcard ../shared/data))
+results: $(VENV)/installed
+	$(BIN)/nrsfm experiment all $(if $(DATA),--data $(DATA)) --page docs/results.md
 
 bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks
@@ -36,7 +41,7 @@ format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf $(VENV) build dist demo-output bench-output src/nrsfm.egg-info
+	rm -rf $(VENV) build dist demo-output experiments-output bench-output src/nrsfm.egg-info
 	rm -rf .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
