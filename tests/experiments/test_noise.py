@@ -108,3 +108,10 @@ def test_the_picture_and_the_table():
     assert len(picture.figure.axes) == 2
     lines = NOISE.table(rows)
     assert any(line.startswith("| Algorithm 1 | .0465 |") and line.endswith("| 0.20 |") for line in lines)
+
+
+def test_own_cameras_have_a_picture_of_their_own():
+    rows = rows_of(START, SLOPE)
+    rows += [row | {"cameras": "own"} for row in rows if row["method"] == "smsr" and row["repeat"] == 0]
+    names = [picture.name for picture in NOISE.pictures(rows)]
+    assert names == ["noise", "noise-own"]

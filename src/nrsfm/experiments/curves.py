@@ -23,7 +23,7 @@ _METHODS = {name: i for i, name in enumerate(_ORDER.split())}
 
 _LEFT, _RIGHT, _FOOT = 0.72, 0.3, 0.58
 _GAP, _LABELS = 0.42, 0.98  # inches between panels; more where curves are named
-_HEADER, _BETWEEN = 1.38, 0.82
+_HEADER, _BETWEEN, _NAMED_AXIS = 1.38, 0.82, 0.3
 _LINE = 0.155  # inches between two names
 
 
@@ -96,12 +96,13 @@ def curve_figure(
     if any(panel.y_label for row in rows for panel in row[1:]):
         after = [gap + (0.34 if j < columns - 1 else 0.0) for j, gap in enumerate(after)]
     width = (WIDTH - _LEFT - sum(after)) / columns
-    height = _HEADER + len(rows) * tall + (len(rows) - 1) * _BETWEEN + _FOOT
+    between = _BETWEEN + (_NAMED_AXIS if any(panel.x_label for row in rows[:-1] for panel in row) else 0.0)
+    height = _HEADER + len(rows) * tall + (len(rows) - 1) * between + _FOOT
     every = [panel for row in rows for panel in row]
     with house_style():
         figure = new_figure(height, title, subtitle)
         for i, row in enumerate(rows):
-            top = _HEADER + i * (tall + _BETWEEN)
+            top = _HEADER + i * (tall + between)
             left = _LEFT
             for j, panel in enumerate(row):
                 axes = figure.add_axes(
@@ -159,7 +160,9 @@ def _draw(axes: Axes, panel: Panel, limits: tuple[float, float], tall: float) ->
         axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10], integer=_whole(panel)))
         axes.xaxis.set_major_formatter(FuncFormatter(_short))
     if panel.log_y:
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if limits[1] < 500 * limits[0] else (1.0,)))
+        ratio = limits[1] / limits[0]
+        subs = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0) if ratio < 12 else (1.0, 2.0, 5.0) if ratio < 500 else (1.0,)
+        axes.yaxis.set_major_locator(LogLocator(subs=subs))
         axes.yaxis.set_minor_locator(NullLocator())
     else:
         axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))

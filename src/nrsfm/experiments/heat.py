@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _NAMES, _EDGE, _HEADER, _FOOT = 1.18, 0.28, 1.62, 0.62
 _TALL = 0.265
 _SPLIT = 0.1  # inches between groups of columns
-_STEEP = 0.62  # inches: names of narrower columns are written at an angle
+_LETTER = 0.06  # inches: names that are wider than their columns are written at an angle
 _WORST = 8.0  # times the best: the end of the colours
 
 
@@ -51,7 +51,7 @@ def heat_figure(
     """Draw ``fields`` (rows × columns); the best of each column is outlined, ``strong`` rows have bold names."""
     breaks = sum(a.group != b.group for a, b in itertools.pairwise(columns))
     wide = (WIDTH - _NAMES - _EDGE - _SPLIT * breaks) / max(len(columns), 5)
-    header = _HEADER if wide < _STEEP else _HEADER - 0.2
+    header = _HEADER if _steep(columns, wide) else _HEADER - 0.2
     height = header + _TALL * len(rows) + _FOOT
     size = 7.6 if wide > 0.46 else 6.6 if wide > 0.36 else 5.7
     with house_style():
@@ -62,10 +62,12 @@ def heat_figure(
         axes.set_ylim(len(rows), 0)
         known = [[v for r in fields if (v := r[j].value) is not None] for j in range(len(columns))]
         best = [min(values, default=None) for values in known]
+        leaders = [{r[j].text for r in fields if r[j].value == best[j]} for j in range(len(columns))]
         places = [j * wide + _SPLIT * _groups_before(columns, j) for j in range(len(columns))]
         for i, row in enumerate(fields):
             for j, field in enumerate(row):
-                _draw(axes, (places[j] + 0.015, i + 0.04, wide - 0.03, 0.92), field, best[j], size)
+                box = (places[j] + 0.015, i + 0.04, wide - 0.03, 0.92)
+                _draw(axes, box, field, best[j], size, leads=field.text in leaders[j])  # what reads the same is as good
             axes.text(
                 -0.1,
                 i + 0.52,
@@ -94,7 +96,13 @@ def _groups_before(columns: Sequence[Column], j: int) -> int:
     return sum(columns[k].group != columns[k + 1].group for k in range(j))
 
 
-def _draw(axes: Axes, box: tuple[float, float, float, float], field: Field, best: float | None, size: float) -> None:
+def _steep(columns: Sequence[Column], wide: float) -> bool:
+    return max((len(column.name) for column in columns), default=0) * _LETTER > wide
+
+
+def _draw(
+    axes: Axes, box: tuple[float, float, float, float], field: Field, best: float | None, size: float, *, leads: bool
+) -> None:
     from matplotlib.patches import Rectangle
 
     left, top, wide, tall = box
@@ -105,16 +113,15 @@ def _draw(axes: Axes, box: tuple[float, float, float, float], field: Field, best
         return
     ratio = max(field.value, 1e-12) / max(best, 1e-12)
     share = float(np.clip(np.log(ratio) / np.log(_WORST), 0.0, 1.0))
-    is_best = ratio <= 1.0 + 1e-9
-    outline = {"edgecolor": INK, "linewidth": 1.1} if is_best else {"linewidth": 0.0}
+    outline = {"edgecolor": INK, "linewidth": 1.1} if leads else {"linewidth": 0.0}
     axes.add_patch(Rectangle((left, top), wide, tall, facecolor=tuple(_shade(share)), **outline))
-    colour, weight = INK if share < 0.62 else PAPER, "bold" if is_best else "normal"
+    colour, weight = INK if share < 0.62 else PAPER, "bold" if leads else "normal"
     axes.text(x, y, field.text, ha="center", va="center", size=size, color=colour, weight=weight)
 
 
 def _head(axes: Axes, columns: Sequence[Column], places: Sequence[float], wide: float) -> None:
     for column, place in zip(columns, places, strict=True):
-        steep = wide < _STEEP
+        steep = _steep(columns, wide)
         axes.text(
             place + wide / 2 - (0.06 if steep else 0),
             -0.18,
@@ -129,7 +136,7 @@ def _head(axes: Axes, columns: Sequence[Column], places: Sequence[float], wide: 
     for group in dict.fromkeys(column.group for column in columns):
         own = [place for column, place in zip(columns, places, strict=True) if column.group == group]
         left, right = own[0] + 0.02, own[-1] + wide - 0.02
-        level = -2.05 if wide < _STEEP else -0.95
+        level = -2.05 if _steep(columns, wide) else -0.95
         axes.plot([left, right], [level, level], color=HAIRLINE, linewidth=1.2, clip_on=False)
         axes.text(left, level - 0.12, group, size=7.8, color=GREY, ha="left", va="bottom")
 

@@ -15,9 +15,9 @@ _RULE = re.compile(r"\|(?::?-+:?\|)+$")
 _RAW = ("<details", "</details", "<summary")
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return a table as lines, with an empty line after it; the first column is text, the others are numbers."""
-    lines = [_row(head), "|---|" + "---:|" * (len(head) - 1)]
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int = 1) -> list[str]:
+    """Return a table as lines, with an empty line after it; after the first ``texts`` columns there are numbers."""
+    lines = [_row(head), "|" + "---|" * texts + "---:|" * (len(head) - texts)]
     return [*lines, *(_row(row) for row in rows), ""]
 
 

@@ -87,12 +87,14 @@ class Noise:
         own = levels([row for row in rows if row.get("repeat") == 0], "own")
         first = [_panel("Every method", "cameras of the intersection method", found, log=True)]
         first.append(_against_published(found))
-        panels = [first]
+        figure = curve_figure("Error against noise", _subtitle(rows), [first], tall=3.0, share="none")
+        drawn = [Picture(self.name, figure, _caption(rows))]
         if own:
-            note = "cameras of its publication, one repeat"
-            panels.append([_panel("The others with their own cameras", note, own, log=True, y_label="e3D")])
-        figure = curve_figure("Error against noise", _subtitle(rows), panels, tall=2.7, share="none")
-        return [Picture(self.name, figure, _caption(rows))]
+            title = "Error against noise, with the cameras of each method's publication"
+            panel = _panel("Methods that have cameras of their own", "", own, log=True)
+            figure = curve_figure(title, _subtitle(rows, 1), [[panel]], tall=3.0)
+            drawn.append(Picture(f"{self.name}-own", figure, f"{title}."))
+        return drawn
 
     def findings(self, rows: Sequence[Row]) -> list[Finding]:
         """Order, strength under much noise, and slopes."""
@@ -152,14 +154,14 @@ def _text(level: Level) -> str:
     return error_text(level.mean) + spread
 
 
-def _subtitle(rows: Sequence[Row]) -> str:
+def _subtitle(rows: Sequence[Row], repeats: int | None = None) -> str:
     faces = in_order(rows, "sequence")
     points = max((row["points"] or 0 for row in rows), default=0)
-    repeats = 1 + max(row["repeat"] for row in rows)
-    return (
-        f"mean of {len(faces)} faces, {points:,} evenly spread points each, {repeats} repeats; each frame aligned "
-        "on its own; bands: one standard deviation"
-    )
+    words = f"mean of {len(faces)} faces, {points:,} evenly spread points each, "
+    repeats = repeats or 1 + max(row["repeat"] for row in rows)
+    if repeats == 1:
+        return words + "one repeat; each frame aligned on its own"
+    return words + f"{repeats} repeats; each frame aligned on its own; bands: one standard deviation"
 
 
 def _caption(rows: Sequence[Row]) -> str:

@@ -68,7 +68,13 @@ def _summary(outcomes: Sequence[Outcome]) -> list[str]:
             rows.append([link, "no claim of the paper", ""])
     counts = {v: sum(f.verdict == v for o in outcomes for f in o.findings) for v in _VERDICTS}
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
-    return ["## Summary", "", f"Claims: {said or 'none'}.", "", *table(["experiment", "claim", "verdict"], rows)]
+    return [
+        "## Summary",
+        "",
+        f"Claims: {said or 'none'}.",
+        "",
+        *table(["experiment", "claim", "verdict"], rows, texts=3),
+    ]
 
 
 def _section(outcome: Outcome, links: dict[str, str]) -> list[str]:

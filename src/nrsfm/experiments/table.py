@@ -119,8 +119,12 @@ class Table:
         for kind, words in KINDS.items():
             chosen = _of_kind(rows, kind)
             for column, title in _FOLDED.items():
-                if any(row.get(column) is not None for row in chosen):
-                    lines += folded(f"{title}, {words}", _matrix(chosen, column))
+                if column == "e3d_none" and kind != "known":
+                    continue  # estimated cameras leave the object frame open: the number would say nothing
+                having = {row["sequence"] for row in chosen if row.get(column) is not None or "error" in row}
+                if having:
+                    some = [row for row in chosen if row["sequence"] in having]
+                    lines += folded(f"{title}, {words}", _matrix(some, column))
         return lines
 
 
@@ -273,13 +277,14 @@ def _matrix(rows: Sequence[Row], column: str) -> list[str]:
         title = sequence_title(name)
         if column == "main" and all(row is None or row.get("e3d_per_frame") is None for row in own):
             title += " ~"
+        written = error_text if column == "main" or column.startswith("e3d") else _amount
         texts = []
         for row, value in zip(own, values, strict=True):
-            if value is None:
+            if value is None or best is None:
                 texts.append("–" if row is None or "error" not in row else _why(row["error"]))
                 continue
-            text = error_text(value) if column == "main" or column.startswith("e3d") else _amount(value)
-            texts.append(f"**{text}**" if value == best else text)
+            text = written(value)
+            texts.append(f"**{text}**" if text == written(best) else text)  # what reads the same is as good
         lines.append([title, *texts])
     return table(["", *map(method_title, methods)], lines)
 

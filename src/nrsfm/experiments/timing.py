@@ -80,6 +80,7 @@ class Timing:
             panels,
             tall=2.4,
             share="none",
+            names=1.3,
         )
         caption = "Seconds of the whole call, cameras included (above), and of the method's own iterations (below)."
         return [Picture(self.name, figure, caption)]
@@ -158,7 +159,7 @@ def _panel(rows: Sequence[Row], against: str, column: str) -> Panel:
         if found:
             x, y = zip(*found, strict=True)
             steep = slope(rows, method, against, column)
-            name = method_title(method).removesuffix(" priors") + ("" if steep is None else f" · {steep:.1f}")
+            name = method_title(method).removesuffix(" priors") + ("" if steep is None else f" · {_steepness(steep)}")
             strong = method in OWN
             curves.append(Curve(name, x, [max(v, 1e-3) for v in y], method_colour(method), strong=strong))
     sizes = sorted({row[against] for row in rows if row["against"] == against})
@@ -174,6 +175,10 @@ def _panel(rows: Sequence[Row], against: str, column: str) -> Panel:
         log_y=True,
         named=True,
     )
+
+
+def _steepness(value: float) -> str:
+    return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
 
 
 def _times(rows: Sequence[Row], method: str) -> dict[tuple[int, int], float]:
