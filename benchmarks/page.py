@@ -7,6 +7,7 @@ from typing import Any
 
 from benchmarks import accuracy, literature, mocap, quiet, real, scaling, speed, start, store
 from benchmarks.tables import NO, YES, Check, Fact, table
+from nrsfm.experiments.machine import in_words
 
 SECTIONS: dict[str, ModuleType] = {
     "accuracy": accuracy,
@@ -62,11 +63,7 @@ def _machines(kept: dict[str, Any]) -> list[str]:
     """Each machine that something was measured on, and whether all of it was the same code."""
     by_machine: dict[str, list[str]] = {}
     for name, section in kept.items():
-        m = section["machine"]
-        text = (
-            f"{m['cores']} cores of {m['processor']}, {m['memory_gib']:g} GiB memory, {m['system']}; "
-            f"nrsfm {m['nrsfm']}, Python {m['python']}, NumPy {m['numpy']} with {m['blas']}, SciPy {m['scipy']}."
-        )
+        text = in_words(section["machine"])
         by_machine.setdefault(text, []).append(name)
     lines = []
     for text, names in by_machine.items():

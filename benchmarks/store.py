@@ -7,17 +7,32 @@ import datetime
 import hashlib
 import json
 import os
-import platform
 import sys
 from pathlib import Path
 from typing import Any
+
+from nrsfm.experiments.machine import machine
+from nrsfm.experiments.process import cores
+
+__all__ = [
+    "Context",
+    "DataAbsentError",
+    "code_digest",
+    "cores",
+    "data_folder",
+    "machine",
+    "read",
+    "say",
+    "today",
+    "write",
+]
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "bench-output"
 PAGE = ROOT / "docs" / "benchmarks.md"
 
 # Parts of the package that cannot change a number: a new picture does not make old results stale.
-_WITHOUT_NUMBERS = ("cli", "viewing")
+_WITHOUT_NUMBERS = ("cli", "viewing", "experiments")
 
 
 class DataAbsentError(Exception):
@@ -93,42 +108,3 @@ def code_digest() -> str:
         if relative.parts[0] not in _WITHOUT_NUMBERS:
             digest.update(relative.as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:12]
-
-
-def machine() -> dict[str, Any]:
-    """Cores, processor, memory, versions."""
-    import numpy
-    import scipy
-    import threadpoolctl
-
-    from nrsfm import __version__
-
-    libraries = {i["internal_api"]: i["version"] for i in threadpoolctl.threadpool_info() if i["user_api"] == "blas"}
-    return {
-        "cores": cores(),
-        "processor": _processor(),
-        "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
-        "system": platform.system(),
-        "python": platform.python_version(),
-        "numpy": numpy.__version__,
-        "scipy": scipy.__version__,
-        "blas": ", ".join(f"{name} {version}" for name, version in libraries.items()),
-        "nrsfm": __version__,
-    }
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass  # not Linux
-    return platform.processor() or platform.machine()
