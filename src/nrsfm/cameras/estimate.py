@@ -5,25 +5,24 @@ from __future__ import annotations
 import importlib
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from nrsfm.cameras import intersection, orbit, refinement, selection, signs
+from nrsfm.cameras import intersection, orbit, refinement, selection, signs, triplets
 from nrsfm.cameras.intersection import Upgraded
 from nrsfm.cameras.options import CameraOptions
 from nrsfm.cameras.rigid import rigid_upgrade
+from nrsfm.cameras.triplets import LARGEST_RANK, ONE_SCALE_FRAMES
 from nrsfm.errors import InputError
 from nrsfm.numerics.threads import single_thread
 
 logger = logging.getLogger(__name__)
 
-LARGEST_RANK = 13
 JUDGED_RANKS = (1, 2, 3, 4, 5, 7, 8, 10, 12, 13)
 """Chosen once on the tuning sequences of docs/cameras.md; see there."""
 
-ONE_SCALE_FRAMES = 20.0
 LEAST_TURN = 20.0
 SIZE_CHANGE = 0.15
 ORBIT_DEVIATION = 12.0
@@ -110,31 +109,39 @@ def _published(factor: np.ndarray, options: CameraOptions, seed: int, report: Pr
     name = str(options.camera_method)
     module = importlib.import_module(f"nrsfm.cameras.{name}")
     basis = intersection.dominant_basis(factor, 3 * (options.camera_rank or LARGEST_RANK))
-    warnings: list[str] = []
-    if basis.shape[1] < 3:
-        warnings.append(f"the tracks have rank {basis.shape[1]}, below 3: there is no depth in them to recover")
-        basis = np.hstack([basis, np.zeros((len(basis), 3 - basis.shape[1]))])
+    basis, warnings = _with_depth(basis)
     found: Upgraded = module.upgrade(basis, options.camera_rank, np.random.default_rng(seed))
     rotations = signs.canonical(found.rotations)
     turn = camera_turn(rotations)
-    if turn < LEAST_TURN:
-        warnings.append(f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined")
+    warnings += _hardly_turning(turn)
     report("cameras", 1.0)
     row = {"K": found.rank, "start": name, "cost": found.cost, "chosen": True}
     scales = _scales(rotations, basis, options)
     return CameraEstimate(rotations, scales, found.rank, [row], [*warnings, *found.warnings], turn, "free", name)
 
 
+def _with_depth(basis: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Π filled up to three columns, and a warning where that was needed."""
+    columns = basis.shape[1]
+    if columns >= 3:
+        return basis, []
+    filled = np.hstack([basis, np.zeros((len(basis), 3 - columns))])
+    return filled, [f"the tracks have rank {columns}, below 3: there is no depth in them to recover"]
+
+
+def _hardly_turning(turn: float) -> list[str]:
+    if turn >= LEAST_TURN:
+        return []
+    return [f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined"]
+
+
 def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Progress) -> CameraEstimate:
     frames = len(factor) // 2
-    warnings: list[str] = []
     basis = intersection.dominant_basis(
         factor, max(3 * (options.camera_rank or LARGEST_RANK), selection.VIRTUAL_POINTS)
     )
     columns = basis.shape[1]
-    if columns < 3:
-        warnings.append(f"the tracks have rank {columns}, below 3: there is no depth in them to recover")
-        basis = np.hstack([basis, np.zeros((2 * frames, 3 - columns))])
+    basis, warnings = _with_depth(basis)
 
     solved = _solve(basis, columns, options, np.random.default_rng(seed), report, warnings)
     paths = [_path(basis, item) for item in solved]
@@ -149,7 +156,7 @@ def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Pro
     rotations, rank, shape = paths[best], solved[best].rank, "free"
     if rank > 1:
         # Where the rank is exact the valley is long and flat; only the winner is worth walking it to the end.
-        final = _polish(basis, solved[best])
+        final = triplets.polished(basis, solved[best])
         rotations = _path(basis, final)
         rows[best] |= {"cost": final.cost} | judge.criteria(rotations)
 
@@ -170,8 +177,7 @@ def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Pro
     rotations = signs.canonical(rotations)
     scales = _scales(rotations, basis, options)
     turn = camera_turn(rotations)
-    if turn < LEAST_TURN:
-        warnings.append(f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined")
+    warnings += _hardly_turning(turn)
     report("cameras", 1.0)
     logger.debug("cameras: K=%d, %s path, turn %.1f degrees, %d candidates", rank, shape, turn, len(rows))
     name = options.camera_method or "intersection"
@@ -220,16 +226,7 @@ def _solve(
 
 
 def _path(basis: np.ndarray, item: intersection.Upgrade) -> np.ndarray:
-    blocks = (basis[:, : len(item.matrix)] @ item.matrix).reshape(-1, 2, 3)
-    rotations, _ = intersection.polar_rotations(blocks)
-    return signs.apply_signs(rotations, signs.consistent_signs(rotations, basis))
-
-
-def _polish(basis: np.ndarray, item: intersection.Upgrade) -> intersection.Upgrade:
-    n = len(item.matrix)
-    x, y = np.ascontiguousarray(basis[0::2, :n]), np.ascontiguousarray(basis[1::2, :n])
-    matrix, cost, used = intersection.refine(x, y, item.matrix, iterations=400, tolerance=1e-9)
-    return replace(item, matrix=matrix, cost=2.0 * cost / len(basis), iterations=item.iterations + used)
+    return triplets.rotations_of(basis, triplets.first_triplet(basis, item))
 
 
 def _orbits(
