@@ -102,6 +102,4 @@ class Csf1:
             ranks = list(range(1, min(useful, LARGEST_RANK) + 1))
             best = choose(try_ranks(ranks, lambda k: judge(rotations, flat, fit(k)))).fit
         monitor(1.0)
-        chosen = {"rank": best.rank, "basis_size": size}
-        history = {"energy": best.energies}
-        return Solution(best.shapes, None, len(best.energies), best.reason, history, chosen, warnings)
+        return best.solution({"rank": best.rank, "basis_size": size}, warnings)

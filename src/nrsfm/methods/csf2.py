@@ -212,9 +212,7 @@ class Csf2:
             if reason == "exact":
                 break
         best = candidates[-1].fit if options.rank is not None else choose(candidates).fit
-        chosen = {"rank": best.rank, "basis_size": size}
-        history = {"energy": best.energies}
-        return Solution(best.shapes, None, len(best.energies), best.reason, history, chosen, warnings)
+        return best.solution({"rank": best.rank, "basis_size": size}, warnings)
 
 
 def _contracted(product: np.ndarray, weights: np.ndarray) -> np.ndarray:

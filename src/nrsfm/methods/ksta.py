@@ -154,6 +154,4 @@ class Ksta:
         if options.rank is not None:
             warnings += clamped(options.rank, limit, "rank", f"{frames} frames and {size} eigenvectors")[1]
         best = winner.fit
-        chosen = {"rank": best.rank, "basis_size": size, "width": winner.setting}
-        history = {"energy": best.energies}
-        return Solution(best.shapes, None, len(best.energies), best.reason, history, chosen, warnings)
+        return best.solution({"rank": best.rank, "basis_size": size, "width": winner.setting}, warnings)

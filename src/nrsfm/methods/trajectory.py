@@ -23,8 +23,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from nrsfm.methods.base import Solution
 
 SINGULAR = 1e-9  # singular values of M below this share of the largest count as zero
 EXACT = 1e-26  # a share of ‖W‖² that is zero to rounding
@@ -76,6 +79,11 @@ class Fit:
     unknowns: np.ndarray
     energies: list[float]
     reason: str
+
+    def solution(self, chosen: dict[str, Any], warnings: list[str]) -> Solution:
+        """What a method returns that keeps this fit."""
+        history = {"energy": self.energies}
+        return Solution(self.shapes, None, len(self.energies), self.reason, history, chosen, warnings)
 
 
 @dataclass(frozen=True)
