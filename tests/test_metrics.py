@@ -12,12 +12,15 @@ from nrsfm.metrics import (
     ALIGNMENTS,
     aligned,
     camera_frame_error,
+    depth_calibration,
     frame_errors,
     mocap_error,
     point_errors,
     rotation_error,
+    scored_points,
     shape_error,
 )
+from nrsfm.reconstruction import Reconstruction
 
 
 class Result:
@@ -136,6 +139,7 @@ def test_valid_points_alone_count(align):
     valid[1] = False
     errors = frame_errors(estimate, truth, align, valid=valid)
     assert np.isnan(errors[1])
+    assert np.isnan(shape_error(estimate, truth, align, valid=np.zeros_like(valid)))
     assert np.isfinite(shape_error(estimate, truth, align, valid=valid))
 
 
@@ -269,3 +273,124 @@ def test_other_arguments_are_checked():
         rotation_error(np.ones((2, 3)), good)
     with pytest.raises(InputError, match="2 and 3"):
         rotation_error(np.ones((2, 3, 3)), np.ones((3, 3, 3)))
+
+
+def holed(seed, lost=(2, 5), frames=6, points=12):
+    """A reconstruction without a shape for the points ``lost``, the truth, and the same two without these points."""
+    estimate, truth, rng = pair(seed, frames, points)
+    rotations = random_rotations(rng, frames)
+    known = ~np.isin(np.arange(points), lost)
+    estimate[:, ~known] = np.nan
+    moved = np.zeros((frames, 2)), np.ones(frames)
+    result = Reconstruction(estimate, rotations, *moved)
+    return result, truth, Reconstruction(estimate[:, known], rotations, *moved), truth[:, known], known
+
+
+@pytest.mark.parametrize("align", ALIGNMENTS)
+@given(seed=seeds)
+@settings(max_examples=10)
+def test_points_without_a_shape_are_not_scored(align, seed):
+    result, truth, part, true_part, known = holed(seed)
+    np.testing.assert_array_equal(scored_points(result, truth), known)
+    np.testing.assert_array_equal(scored_points(truth, result), known)
+    np.testing.assert_allclose(frame_errors(result, truth, align), frame_errors(part, true_part, align), rtol=1e-9)
+    np.testing.assert_allclose(frame_errors(truth, result, align), frame_errors(true_part, part, align), rtol=1e-9)
+    for whole, expected in (
+        (aligned(result, truth, align), aligned(part, true_part, align)),
+        (point_errors(result, truth, align), point_errors(part, true_part, align)),
+    ):
+        np.testing.assert_allclose(whole[:, known], expected, rtol=1e-9)
+        assert np.isnan(whole[:, ~known]).all()
+    valid = np.random.default_rng(seed).random(truth.shape[:2]) < 0.7
+    np.testing.assert_allclose(
+        frame_errors(result, truth, align, valid=valid),
+        frame_errors(part, true_part, align, valid=valid[:, known]),
+        rtol=1e-9,
+    )
+
+
+@given(seed=seeds)
+@settings(max_examples=10)
+def test_the_other_scores_leave_them_out_too(seed):
+    result, truth, part, true_part, _ = holed(seed)
+    cameras = random_rotations(np.random.default_rng(seed), len(truth))
+    assert mocap_error(result, truth) == pytest.approx(mocap_error(part, true_part))
+    assert camera_frame_error(result, truth, cameras) == pytest.approx(camera_frame_error(part, true_part, cameras))
+    assert rotation_error(result, cameras) == pytest.approx(rotation_error(part, cameras))
+
+
+def test_plain_arrays_with_nan_are_still_refused():
+    result, truth, *_ = holed(0)
+    with pytest.raises(InputError, match="estimate: every coordinate must be finite, received 36"):
+        shape_error(result.shapes, truth)
+    assert scored_points(result.shapes, truth).all()
+
+
+def calibrated(seed, *, told=1.0, unit=1.0, mirrored=False, frames=20, points=400):
+    """A reconstruction whose depths err normally, by deviations that it tells times ``told``; truth and cameras."""
+    rng = np.random.default_rng(seed)
+    truth = rng.standard_normal((frames, points, 3)) * np.array([3.0, 2.0, 1.0])
+    cameras = random_rotations(rng, frames)
+    deviation = rng.uniform(0.02, 0.2, (frames, points))
+    error = deviation * rng.standard_normal((frames, points))
+    seen = np.einsum("fij,fpj->fpi", cameras, truth)
+    seen[..., 2] += error
+    shapes = np.einsum("fji,fpj->fpi", cameras, seen)
+    moved = np.zeros((frames, 2)), np.ones(frames)
+    result = Reconstruction(shapes / unit, cameras, *moved, depth_deviation=told * deviation / unit)
+    return (result.mirrored() if mirrored else result), truth, cameras
+
+
+@pytest.mark.parametrize("unit", [1.0, 50.0])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_true_deviations_are_found_calibrated(unit, mirrored):
+    result, truth, cameras = calibrated(3, unit=unit, mirrored=mirrored)
+    found = depth_calibration(result, truth, cameras)
+    assert found["entries"] == 8000
+    assert found["within_1"] == pytest.approx(0.6827, abs=0.02)
+    assert found["within_2"] == pytest.approx(0.9545, abs=0.01)
+    assert found["error_rms"] == pytest.approx(found["deviation_rms"], rel=0.05)
+    assert found["cameras"] == "true"
+    still = np.tile(np.eye(3), (len(truth), 1, 1))
+    in_camera = Reconstruction(
+        result.camera_shapes(), still, result.translations, result.scales, depth_deviation=result.depth_deviation
+    )
+    again = depth_calibration(in_camera, np.einsum("fij,fpj->fpi", cameras, truth), still)
+    assert again["within_1"] == pytest.approx(found["within_1"], abs=2e-3)
+
+
+@pytest.mark.parametrize(("told", "within"), [(0.5, (0.3829, 0.6827)), (2.0, (0.9545, 0.9999))])
+def test_deviations_that_are_too_small_or_too_large_show(told, within):
+    result, truth, cameras = calibrated(4, told=told)
+    found = depth_calibration(result, truth, cameras)
+    assert (found["within_1"], found["within_2"]) == pytest.approx(within, abs=0.02)
+    assert found["deviation_rms"] / found["error_rms"] == pytest.approx(told, rel=0.05)
+
+
+def test_without_cameras_the_truth_is_turned_onto_the_estimate():
+    result, truth, _ = calibrated(5)
+    turned = truth @ random_rotations(np.random.default_rng(1), 1)[0]
+    found = depth_calibration(result, turned)
+    assert found["cameras"] == "aligned"
+    assert found["within_1"] == pytest.approx(0.6827, abs=0.03)
+
+
+def test_calibration_counts_valid_reconstructed_points_only():
+    result, truth, cameras = calibrated(6, points=50)
+    shapes, deviation = result.shapes.copy(), result.depth_deviation.copy()
+    shapes[:, 7], deviation[:, 7] = np.nan, np.nan
+    result = Reconstruction(shapes, cameras, result.translations, result.scales, depth_deviation=deviation)
+    valid = np.ones(truth.shape[:2], dtype=bool)
+    valid[3], valid[:, 9] = False, False
+    truth[~valid] = np.nan
+    found = depth_calibration(result, truth, cameras, valid=valid)
+    assert found["entries"] == 19 * 48
+    assert found["within_2"] > 0.9
+
+
+def test_calibration_says_what_it_needs():
+    result, truth, cameras = calibrated(7, frames=3, points=6)
+    with pytest.raises(InputError, match="a reconstruction with depth_deviation is needed"):
+        depth_calibration(Result(result.shapes, cameras), truth, cameras)
+    with pytest.raises(InputError, match="valid: at least one point must count"):
+        depth_calibration(result, truth, cameras, valid=np.zeros((3, 6), dtype=bool))

@@ -54,6 +54,150 @@ def test_projection_is_the_scaled_and_moved_camera_shape(size, dtype):
     np.testing.assert_allclose(result.project(), seen, rtol=1e-4, atol=1e-2)
 
 
+def make_holed(frames=4, points=7, seed=0, lost=None, **changes):
+    """A reconstruction with confidence and deviation in which the points ``lost`` have no shape."""
+    rng = np.random.default_rng(seed)
+    lost = rng.random(points) < 0.4 if lost is None else lost
+    lost[:4] = False
+    shapes = 100 * rng.standard_normal((frames, points, 3))
+    confidence, deviation = rng.random((frames, points)), rng.exponential(size=(frames, points))
+    shapes[:, lost], confidence[:, lost], deviation[:, lost] = np.nan, 0.0, np.nan
+    values = {"confidence": confidence, "depth_deviation": deviation, **changes}
+    return make(frames, points, seed, shapes=shapes, **values), ~lost
+
+
+holed = st.tuples(st.integers(1, 6), st.integers(4, 12), st.integers(0, 2**32 - 1))
+
+
+@given(holed)
+def test_what_is_computed_from_points_without_a_shape_is_nan_and_the_others_do_not_feel_it(size):
+    result, known = make_holed(*size)
+    alone = make(
+        *size,
+        shapes=result.shapes[:, known],
+        rotations=result.rotations,
+        translations=result.translations,
+        scales=result.scales,
+        labelled=False,
+    )
+    np.testing.assert_array_equal(result.reconstructed, known)
+    assert result.n_missing == np.count_nonzero(~known)
+    assert (f"{result.n_missing} not reconstructed" in repr(result)) == (not known.all())
+    tracks = Tracks(np.zeros((size[0], size[1], 2)))
+    pairs = [
+        (result.project(), alone.project()),
+        (result.camera_shapes(), alone.camera_shapes()),
+        (result.camera_depths(), alone.camera_depths()),
+        (result.mirrored().shapes, alone.mirrored().shapes),
+        (result.reprojection_errors(tracks), alone.reprojection_errors(Tracks(tracks.points[:, known]))),
+    ]
+    for whole, part in pairs:
+        np.testing.assert_allclose(whole[:, known], part, rtol=1e-12, atol=1e-9)
+        assert np.isnan(whole[:, ~known]).all()
+
+
+@given(holed)
+def test_depth_is_the_third_coordinate_in_the_camera_and_the_mirror_turns_it_around(size):
+    result, _ = make_holed(*size)
+    depths = result.camera_depths()
+    np.testing.assert_allclose(depths, result.camera_shapes()[..., 2], rtol=1e-12, atol=1e-9)
+    other = result.mirrored()
+    np.testing.assert_allclose(other.camera_depths(), -depths, rtol=1e-12, atol=1e-9)
+    for name in ("confidence", "depth_deviation"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(result, name))
+        assert getattr(result, name).dtype == np.float32
+
+
+@settings(max_examples=25)
+@given(holed, st.booleans(), st.booleans())
+def test_save_and_load_keep_confidence_deviation_and_holes(tmp_path_factory, size, trusted, measured):
+    changes = {} if trusted else {"confidence": None}
+    result, known = make_holed(*size, **changes, **({} if measured else {"depth_deviation": None}))
+    path = tmp_path_factory.mktemp("saved") / "r.npz"
+    result.save(path)
+    again = load_reconstruction(path)
+    np.testing.assert_array_equal(again.reconstructed, known)
+    np.testing.assert_array_equal(again.shapes, result.shapes)
+    for name in ("confidence", "depth_deviation"):
+        assert (getattr(again, name) is None) == (getattr(result, name) is None)
+        if getattr(result, name) is not None:
+            np.testing.assert_array_equal(getattr(again, name), getattr(result, name))
+
+
+@settings(max_examples=50)
+@given(
+    st.integers(0, 5), st.integers(0, 8), st.integers(0, 2), st.sampled_from([np.nan, np.inf, -np.inf]), st.booleans()
+)
+def test_one_number_that_is_not_finite_is_refused_wherever_it_is(frame, point, axis, value, holes):
+    result, known = make_holed(6, 9, 3, np.arange(9) >= 7 if holes else np.zeros(9, dtype=bool))
+    shapes = result.shapes.copy()
+    if not known[point]:
+        value = 1.0
+    shapes[frame, point, axis] = value
+    with pytest.raises(InputError, match=f"shapes: a point must be finite in every frame.* received point {point} "):
+        make(6, 9, shapes=shapes)
+
+
+def test_fewer_than_four_points_may_be_all_but_not_what_is_left():
+    assert make(points=2).reconstructed.all()
+    shapes = make(points=7).shapes.copy()
+    shapes[:, 3:] = np.nan
+    with pytest.raises(InputError, match="at least 4 points must be finite, received 3 of 7"):
+        make(shapes=shapes)
+
+
+@pytest.mark.parametrize(
+    ("name", "frame", "point", "value", "text"),
+    [
+        ("confidence", 2, 1, 1.5, "numbers from 0 to 1 are needed, received 1.5 in frame 2, point 1"),
+        ("confidence", 2, 1, -0.1, "numbers from 0 to 1 are needed, received -0.1 in frame 2, point 1"),
+        ("confidence", 2, 6, np.nan, "numbers from 0 to 1 are needed, received nan in frame 2, point 6"),
+        (
+            "confidence",
+            1,
+            6,
+            0.5,
+            "0 is needed for points that were not reconstructed, received 0.5 in frame 1, point 6",
+        ),
+        ("depth_deviation", 3, 0, -1.0, "at least 0 is needed for point 0, received -1 in frame 3"),
+        ("depth_deviation", 3, 0, np.nan, "at least 0 is needed for point 0, received nan in frame 3"),
+        ("depth_deviation", 0, 0, np.inf, "at least 0 is needed for point 0, received inf in frame 0"),
+        (
+            "depth_deviation",
+            0,
+            6,
+            1.0,
+            "NaN, as it was not reconstructed, is needed for point 6, received 1 in frame 0",
+        ),
+    ],
+)
+def test_confidence_and_deviation_have_rules(name, frame, point, value, text):
+    result, _ = make_holed(lost=np.arange(7) == 6)
+    array = getattr(result, name).copy()
+    array[frame, point] = value
+    with pytest.raises(InputError, match=f"^{name}: .*{text}"):
+        make_holed(lost=np.arange(7) == 6, **{name: array})
+
+
+@pytest.mark.parametrize("name", ["confidence", "depth_deviation"])
+def test_confidence_and_deviation_have_a_shape_and_a_type(name):
+    with pytest.raises(InputError, match=rf"{name}: shape \(4, 7\) is needed, received \(7, 4\)"):
+        make(**{name: np.zeros((7, 4))})
+    with pytest.raises(InputError, match=f"{name}: real numbers are needed, received dtype bool"):
+        make(**{name: np.zeros((4, 7), dtype=bool)})
+
+
+def test_files_of_older_versions_still_load(tmp_path):
+    """Such a file has no confidence and no deviation, and perhaps no groups."""
+    make(labelled=False).save(tmp_path / "r.npz")
+    with np.load(tmp_path / "r.npz") as archive:
+        assert set(archive.files) == {"shapes", "rotations", "translations", "scales", "about"}
+        assert json.loads(str(archive["about"]))["format"] == "nrsfm-reconstruction-1"
+    again = load_reconstruction(tmp_path / "r.npz")
+    assert again.confidence is None
+    assert again.depth_deviation is None
+
+
 @given(sizes, dtypes)
 def test_mirrored_twice_is_the_same(size, dtype):
     result = make(*size, dtype=dtype)
@@ -132,7 +276,9 @@ def test_attributes_cannot_be_set():
             {"shapes": np.zeros((4, 7, 3), dtype=complex)},
             "real numbers are needed, received dtype complex128",
         ),
-        ({"shapes": np.full((4, 7, 3), np.nan)}, "received 84 that are NaN or infinite"),
+        ({"shapes": np.full((4, 7, 3), np.nan)}, "at least 4 points must be finite, received 0 of 7"),
+        ({"shapes": np.full((4, 7, 3), np.inf)}, r"received point 0 with \(inf, inf, inf\) in frame 0"),
+        ({"translations": np.full((4, 2), np.nan)}, "translations: every number must be finite, received 8"),
         ({"rotations": np.zeros((3, 3, 3))}, r"rotations: shape \(4, 3, 3\) is needed"),
         ({"rotations": 2 * np.stack([np.eye(3)] * 4)}, "orthonormal"),
         ({"rotations": np.stack([np.diag([1.0, 1.0, -1.0])] * 4)}, "determinant must be 1"),
@@ -249,6 +395,8 @@ def test_load_never_unpickles(tmp_path):
         {"translations": np.zeros((3, 2))},
         {"scales": None},
         {"groups": np.zeros(3, dtype=int)},
+        {"confidence": np.full((4, 7), 2.0)},
+        {"depth_deviation": np.zeros((3, 7))},
         {"about": np.array("{")},
         {"about": np.array("[]")},
         {"about": np.arange(3)},

@@ -1,6 +1,10 @@
 """How far an estimate is from the truth: e3D under its alignments, the mocap literature's error, camera error.
 
 The papers of this field do not agree on alignment, so every alignment is here and each has a name.
+
+Points that a ``Reconstruction`` says it could not reconstruct (see ``Reconstruction.reconstructed``) are not scored:
+they count in no mean, no centre and no alignment, and :func:`scored_points` says which points do. A plain array has
+no such word: NaN in it is an error, except where ``valid`` is false.
 """
 
 from __future__ import annotations
@@ -26,22 +30,50 @@ def _shapes(value: Any, name: str) -> np.ndarray:
     return array
 
 
-def _pair(estimate: Any, truth: Any, valid: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    estimate, truth = _shapes(estimate, "estimate"), _shapes(truth, "truth")
-    if estimate.shape != truth.shape:
-        raise InputError(f"estimate and truth must have the same shape, received {estimate.shape} and {truth.shape}")
+def scored_points(estimate: Any, truth: Any) -> np.ndarray:
+    """Return which points (P,) are scored: those that neither side says it could not reconstruct.
+
+    ``estimate`` and ``truth`` are shapes (F, P, 3), all of whose points are scored, or objects with ``.shapes``
+    and, if points are missing, ``.reconstructed`` (P,) bool.
+    """
+    scored = np.ones(_shapes(truth, "truth").shape[1], dtype=bool)
+    for value in (estimate, truth):
+        reconstructed = getattr(value, "reconstructed", None)
+        if reconstructed is not None:
+            scored &= reconstructed
+    return scored
+
+
+def _pair(estimate: Any, truth: Any, valid: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
+    """Shapes and mask of the scored points only, and which points these are."""
+    est, true = _shapes(estimate, "estimate"), _shapes(truth, "truth")
+    if est.shape != true.shape:
+        raise InputError(f"estimate and truth must have the same shape, received {est.shape} and {true.shape}")
+    scored = scored_points(estimate, truth)
+    if valid is not None:
+        valid = np.asarray(valid)
+        if valid.shape != true.shape[:2] or valid.dtype != np.bool_:
+            raise InputError(
+                f"valid: a bool array of shape {true.shape[:2]} is needed, received {valid.dtype} {valid.shape}"
+            )
+    if not scored.all():
+        est, true = est[:, scored], true[:, scored]
+        valid = None if valid is None else valid[:, scored]
     if valid is None:
-        for name, array in (("estimate", estimate), ("truth", truth)):
+        for name, array in (("estimate", est), ("truth", true)):
             bad = int(np.count_nonzero(~np.isfinite(array)))
             if bad:
                 raise InputError(f"{name}: every coordinate must be finite, received {bad} that are NaN or infinite")
-        return estimate, truth, None
-    valid = np.asarray(valid)
-    if valid.shape != truth.shape[:2] or valid.dtype != np.bool_:
-        raise InputError(
-            f"valid: a bool array of shape {truth.shape[:2]} is needed, received {valid.dtype} {valid.shape}"
-        )
-    return estimate, truth, valid
+    return est, true, valid, scored
+
+
+def _scattered(values: np.ndarray, scored: np.ndarray) -> np.ndarray:
+    """Values (F, n, …) of the scored points among all points, NaN elsewhere."""
+    if scored.all():
+        return values
+    out = np.full((len(values), len(scored), *values.shape[2:]), np.nan)
+    out[:, scored] = values
+    return out
 
 
 def _check_alignment(align: str) -> None:
@@ -76,7 +108,7 @@ def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.
     Parameters
     ----------
     estimate, truth
-        Shapes (F, P, 3), or objects with ``.shapes``.
+        Shapes (F, P, 3), or objects with ``.shapes``; points that were not reconstructed are not scored.
     align
         ``"none"``: only centred. ``"global"``: one orthogonal matrix for the whole sequence, reflection allowed.
         ``"per-frame"``: orthogonal Procrustes in each frame, reflection allowed. ``"similarity"``: the same with
@@ -92,7 +124,7 @@ def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.
     Source: the paper's equation for e3D.
     """
     _check_alignment(align)
-    est, true, mask = _pair(estimate, truth, valid)
+    est, true, mask, _ = _pair(estimate, truth, valid)
 
     def frames() -> Iterator[tuple[np.ndarray | None, np.ndarray | None]]:
         for f in range(len(true)):
@@ -119,24 +151,29 @@ def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.
 
 
 def shape_error(estimate: Any, truth: Any, align: str = "global", *, valid: np.ndarray | None = None) -> float:
-    """Mean over frames of the relative 3D error e3D; parameters as in :func:`frame_errors`."""
-    return float(np.nanmean(frame_errors(estimate, truth, align, valid=valid)))
+    """Mean over frames of the relative 3D error e3D; parameters as in :func:`frame_errors`; NaN if none counts."""
+    errors = frame_errors(estimate, truth, align, valid=valid)
+    known = errors[~np.isnan(errors)]
+    return float(known.mean()) if len(known) else float("nan")
 
 
 def point_errors(estimate: Any, truth: Any, align: str = "per-frame") -> np.ndarray:
-    """Distance of every point from the truth after alignment, in the truth's unit: (F, P)."""
-    est, true, _ = _pair(estimate, truth, None)
+    """Distance of every point from the truth after alignment, in the truth's unit: (F, P); NaN where not scored."""
+    est, true, _, scored = _pair(estimate, truth, None)
     moved = aligned(est, true, align)
     gaps = np.empty(true.shape[:2])
     for f in range(len(true)):
         gaps[f] = np.linalg.norm(moved[f] - _centred(true[f]), axis=1)
-    return gaps
+    return _scattered(gaps, scored)
 
 
 def aligned(estimate: Any, truth: Any, align: str = "global") -> np.ndarray:
-    """Return the centred estimate moved onto the (centred) truth by the named alignment, (F, P, 3)."""
+    """Return the centred estimate moved onto the (centred) truth by the named alignment, (F, P, 3).
+
+    Points that are not scored are NaN.
+    """
     _check_alignment(align)
-    est, true, _ = _pair(estimate, truth, None)
+    est, true, _, scored = _pair(estimate, truth, None)
     pairs = [(_centred(a), _centred(b)) for a, b in zip(est, true, strict=True)]
     rotation = np.eye(3)
     if align == "global":
@@ -144,7 +181,7 @@ def aligned(estimate: Any, truth: Any, align: str = "global") -> np.ndarray:
     out = np.empty(true.shape)
     for f, (a, b) in enumerate(pairs):
         out[f] = _moved(a, b, align, rotation)
-    return out
+    return _scattered(out, scored)
 
 
 def camera_frame_error(estimate: Any, truth: Any, truth_rotations: np.ndarray) -> float:
@@ -162,8 +199,9 @@ def camera_frame_error(estimate: Any, truth: Any, truth_rotations: np.ndarray) -
     truth_rotations
         (F, 3, 3), camera from object.
     """
-    seen = np.einsum("fij,fpj->fpi", estimate.rotations, np.asarray(estimate.shapes, dtype=np.float64))
-    true = np.einsum("fij,fpj->fpi", truth_rotations, np.asarray(_shapes(truth, "truth"), dtype=np.float64))
+    est, true, _, _ = _pair(estimate, truth, None)
+    seen = np.einsum("fij,fpj->fpi", estimate.rotations, np.asarray(est, dtype=np.float64))
+    true = np.einsum("fij,fpj->fpi", truth_rotations, np.asarray(true, dtype=np.float64))
     return shape_error(seen, true, "global")
 
 
@@ -174,7 +212,7 @@ def mocap_error(estimate: Any, truth: Any) -> float:
     divided by the mean over frames of (std of x + std of y + std of z) / 3. Never mix it with e3D in one table.
     Source: Akhter et al. 2008; Gotardo and Martinez 2011.
     """
-    est, true, _ = _pair(estimate, truth, None)
+    est, true, _, _ = _pair(estimate, truth, None)
     spread = float(np.mean(np.std(np.asarray(true, dtype=np.float64), axis=1)))
     distance = float(np.mean(point_errors(est, true, "global")))
     return distance / spread if spread > 0 else (0.0 if distance == 0 else float("inf"))
@@ -207,3 +245,75 @@ def rotation_error(estimate: Any, truth: Any) -> float:
         cosine = (np.einsum("fij,fij->f", moved, true) - 1.0) / 2.0
         best = min(best, float(np.degrees(np.mean(np.arccos(np.clip(cosine, -1.0, 1.0))))))
     return best
+
+
+def depth_calibration(
+    estimate: Any, truth: Any, truth_rotations: np.ndarray | None = None, *, valid: np.ndarray | None = None
+) -> dict[str, Any]:
+    """How well ``depth_deviation`` tells the errors of the depths: the shares within 1 and 2 of it.
+
+    Parameters
+    ----------
+    estimate
+        A ``Reconstruction`` with ``depth_deviation``.
+    truth
+        Shapes (F, P, 3).
+    truth_rotations
+        (F, 3, 3), camera from object, or the identity in each frame where the truth is in the camera's frame.
+        Without them the truth of each frame is first turned onto the estimate as its camera sees it, which takes
+        a part of the error away: the shares come out larger.
+    valid
+        Optional (F, P) bool: the points of each frame that count.
+
+    Both are compared in the frames of their own cameras, centred, because the image fixes its axes but not the
+    object's. What orthographic tracks leave open is taken out once for the sequence: the mirror, and the unit, fitted
+    to x and y alone.
+
+    Returns
+    -------
+    ``entries`` (points scored, over all frames), ``within_1`` and ``within_2`` (shares from 0 to 1; 0.683 and 0.954
+    for calibrated normal errors), ``error_rms`` and ``deviation_rms`` (in the truth's unit, equal where the
+    deviations have the right size on the whole), and ``cameras`` ("true", or "aligned" without ``truth_rotations``).
+
+    Raises
+    ------
+    InputError
+        The estimate has no ``depth_deviation``, or nothing is left to score.
+    """
+    deviation = getattr(estimate, "depth_deviation", None)
+    if deviation is None:
+        raise InputError("estimate: a reconstruction with depth_deviation is needed, received one without")
+    est, true, mask, scored = _pair(estimate, truth, valid)
+    if mask is not None and not mask.any():
+        raise InputError("valid: at least one point must count, received none")
+
+    def frames() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        for f in range(len(true)):
+            known = slice(None) if mask is None else mask[f]
+            if mask is not None and not mask[f].any():
+                continue
+            a, b = _centred(est[f][known]) @ estimate.rotations[f].T, _centred(true[f][known])
+            b = b @ _procrustes(b.T @ a) if truth_rotations is None else b @ truth_rotations[f].T
+            yield a, b, np.asarray(deviation[f, scored][known], dtype=np.float64)
+
+    across = along = size = 0.0
+    for a, b, _ in frames():
+        across += float(np.sum(a[:, :2] * b[:, :2]))
+        size += float(np.sum(a[:, :2] ** 2))
+        along += float(a[:, 2] @ b[:, 2])
+    unit = across / size if across > 0 else 1.0
+    side = -1.0 if along < 0 else 1.0
+    counts, squares = np.zeros(3), np.zeros(2)
+    for a, b, sigma in frames():
+        gap, sigma = np.abs(side * unit * a[:, 2] - b[:, 2]), unit * sigma
+        counts += np.array([len(gap), np.count_nonzero(gap <= sigma), np.count_nonzero(gap <= 2 * sigma)])
+        squares += np.array([gap @ gap, sigma @ sigma])
+    error, expected = np.sqrt(squares / counts[0])
+    return {
+        "entries": int(counts[0]),
+        "within_1": float(counts[1] / counts[0]),
+        "within_2": float(counts[2] / counts[0]),
+        "error_rms": float(error),
+        "deviation_rms": float(expected),
+        "cameras": "aligned" if truth_rotations is None else "true",
+    }

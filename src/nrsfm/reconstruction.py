@@ -6,11 +6,7 @@ points[f] ≈ scales[f] · (rotations[f] @ shapes[f].T)[:2].T + translations[f].
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
-import zipfile
-import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,22 +16,24 @@ from nrsfm.errors import FileError, InputError
 if TYPE_CHECKING:
     from nrsfm.tracks import Tracks
 
-_FORMAT = "nrsfm-reconstruction-1"
-_ARRAYS = ("shapes", "rotations", "translations", "scales")
-_NAMES = (*_ARRAYS, "about")
 # Rotations come out of float64 polar factors, or out of a user's float32 file: either is far below this.
 _ORTHONORMAL = 1e-3
 _MIRROR = np.array([1.0, 1.0, -1.0])
+_LEAST_POINTS = 4  # of a sequence in which some points could not be reconstructed
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction:
     """The 3D shape in every frame, and the camera that saw it.
 
+    A point that was seen in too few frames is not invented: it is NaN in every frame (see :attr:`reconstructed`).
+    Whatever is computed from it is NaN too.
+
     Attributes
     ----------
     shapes
-        (F, P, 3) float32 or float64: the points of each frame in the object frame, in the unit of the tracks.
+        (F, P, 3) float32 or float64: the points of each frame in the object frame, in the unit of the tracks. A
+        point is finite in every frame, or NaN in every frame and coordinate; at least 4 points are finite.
     rotations
         (F, 3, 3) float64, orthonormal with determinant 1: camera from object; x right, y down, z forward.
     translations
@@ -48,11 +46,17 @@ class Reconstruction:
         Plain numbers, strings, lists and dicts: what the run found, and ``"warnings"`` in plain words.
     method, options
         How it was made.
+    confidence
+        (F, P) float32 from 0 to 1: how much each measurement was trusted. 1 where it was used and fits, near 0
+        for an outlier, 0 where the point was not seen or not reconstructed. ``None``: all were used fully.
+    depth_deviation
+        (F, P) float32, at least 0: standard deviation of the depth of each point along its frame's camera axis,
+        in the unit of the shapes; NaN for points that were not reconstructed. ``None`` where it is not known.
 
     Raises
     ------
     InputError
-        An array has another shape or type than these, or holds NaN or infinity.
+        An array has another shape or type than these, or breaks its rule.
     """
 
     shapes: np.ndarray
@@ -63,6 +67,8 @@ class Reconstruction:
     diagnostics: dict[str, Any] = dataclasses.field(default_factory=dict)
     method: str = ""
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    confidence: np.ndarray | None = None
+    depth_deviation: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         shapes = _real(self.shapes, "shapes")
@@ -71,18 +77,18 @@ class Reconstruction:
         if shapes.dtype not in (np.float32, np.float64):
             shapes = shapes.astype(np.float64)
         frames, points = shapes.shape[:2]
+        reconstructed = _check_points(shapes)
         checked: dict[str, Any] = {"shapes": shapes}
         for name, shape in (
             ("rotations", (frames, 3, 3)),
             ("translations", (frames, 2)),
             ("scales", (frames,)),
         ):
-            array = _real(getattr(self, name), name)
-            if array.shape != shape:
-                raise InputError(f"{name}: shape {shape} is needed, received {array.shape}")
-            checked[name] = array.astype(np.float64, copy=False)
-        for name, array in checked.items():
-            _check_finite(array, name)
+            array = _of_shape(getattr(self, name), name, shape).astype(np.float64, copy=False)
+            bad = int(np.count_nonzero(~np.isfinite(array)))
+            if bad:
+                raise InputError(f"{name}: every number must be finite, received {bad} that are NaN or infinite")
+            checked[name] = array
         _check_rotations(checked["rotations"])
         if not np.all(checked["scales"] > 0):
             raise InputError(f"scales: every scale must be positive, received {checked['scales'].min():g}")
@@ -91,6 +97,12 @@ class Reconstruction:
             if groups.dtype.kind not in "iu" or groups.shape != (points,):
                 raise InputError(f"groups: {points} integers are needed, received {groups.dtype} {groups.shape}")
             checked["groups"] = groups
+        for name, check in (("confidence", _check_confidence), ("depth_deviation", _check_deviation)):
+            value = getattr(self, name)
+            if value is not None:
+                array = _of_shape(value, name, (frames, points)).astype(np.float32, copy=False)
+                check(array, reconstructed)
+                checked[name] = array
         for name in ("diagnostics", "options"):
             if not isinstance(getattr(self, name), dict):
                 raise InputError(f"{name}: a dict is needed, received {type(getattr(self, name)).__name__}")
@@ -106,11 +118,22 @@ class Reconstruction:
 
     @property
     def n_points(self) -> int:
-        """P, the number of points."""
+        """P, the number of points, those that could not be reconstructed included."""
         return int(self.shapes.shape[1])
 
+    @property
+    def reconstructed(self) -> np.ndarray:
+        """(P,) bool: the points that have a shape; the others are NaN in every frame."""
+        return np.asarray(np.isfinite(self.shapes[0, :, 0]))
+
+    @property
+    def n_missing(self) -> int:
+        """How many points could not be reconstructed."""
+        return self.n_points - int(np.count_nonzero(self.reconstructed))
+
     def __repr__(self) -> str:
-        return f"Reconstruction({self.n_frames} frames, {self.n_points} points, method={self.method!r})"
+        missing = f" ({self.n_missing} not reconstructed)" if self.n_missing else ""
+        return f"Reconstruction({self.n_frames} frames, {self.n_points} points{missing}, method={self.method!r})"
 
     def project(self) -> np.ndarray:
         """Return the points as the cameras see them, (F, P, 2), in the unit and dtype of the shapes."""
@@ -127,6 +150,16 @@ class Reconstruction:
         out = np.empty_like(self.shapes, order="C")
         for f, shape in enumerate(self.shapes):
             out[f] = shape @ self.rotations[f].T
+        return out
+
+    def camera_depths(self) -> np.ndarray:
+        """Return the depth of every point along its frame's camera axis, (F, P), in the unit of the shapes.
+
+        It grows away from the camera and is 0 at the object's origin; ``depth_deviation`` is its standard deviation.
+        """
+        out = np.empty((self.n_frames, self.n_points), dtype=self.shapes.dtype)
+        for f, shape in enumerate(self.shapes):
+            out[f] = shape @ self.rotations[f, 2]
         return out
 
     def mirrored(self) -> Reconstruction:
@@ -149,7 +182,8 @@ class Reconstruction:
     def reprojection_errors(self, tracks: Tracks) -> np.ndarray:
         """Return the image distance of each track from its reprojection, (F, P), in the tracks' unit.
 
-        Points that were not seen get NaN. Raises ``InputError`` where the tracks are of another size.
+        NaN where a point was not seen, or not reconstructed. Raises ``InputError`` where the tracks are of
+        another size.
         """
         points, shape = np.asarray(tracks.points), (self.n_frames, self.n_points, 2)
         if points.shape != shape:
@@ -174,30 +208,13 @@ class Reconstruction:
         InputError
             ``diagnostics`` or ``options`` hold something that JSON has no word for.
         """
-        from nrsfm.files.atomic import atomic_file
+        from nrsfm.files.reconstructions import write_reconstruction
 
-        if Path(path).suffix.lower() != ".npz":
-            raise FileError(f"cannot save a reconstruction as '{path}': the name must end in .npz")
-        about = {
-            "format": _FORMAT,
-            "method": self.method,
-            "options": self.options,
-            "diagnostics": self.diagnostics,
-        }
-        try:
-            text = json.dumps(about, default=_plain)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"cannot save '{path}': options or diagnostics do not fit JSON: {error}") from error
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        if self.groups is not None:
-            arrays["groups"] = self.groups
-        with atomic_file(path, overwrite=overwrite) as stream:
-            # Not compressed: the mantissas of coordinates are noise, and the gain would be a few percent.
-            np.savez(stream, about=np.array(text), **arrays)
+        write_reconstruction(self, path, overwrite=overwrite)
 
 
 def load_reconstruction(path: str | os.PathLike[str]) -> Reconstruction:
-    """Read a file that :meth:`Reconstruction.save` wrote. Nothing is ever unpickled.
+    """Read a file that :meth:`Reconstruction.save` wrote, of this version or an older one. Nothing is unpickled.
 
     Raises
     ------
@@ -205,64 +222,12 @@ def load_reconstruction(path: str | os.PathLike[str]) -> Reconstruction:
         There is no such file, it is truncated or something else, or its content breaks a rule of
         :class:`Reconstruction`.
     """
-    found = _read_arrays(path)
-    about = _read_about(path, found["about"])
+    from nrsfm.files.reconstructions import read_reconstruction
+
     try:
-        return Reconstruction(
-            **{name: found[name] for name in _ARRAYS},
-            groups=found.get("groups"),
-            diagnostics=about["diagnostics"],
-            method=about["method"],
-            options=about["options"],
-        )
+        return Reconstruction(**read_reconstruction(path))
     except InputError as error:
         raise FileError(f"'{path}' is not a valid reconstruction: {error}") from error
-
-
-def _read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    try:
-        with open(path, "rb") as stream:
-            if not zipfile.is_zipfile(stream):
-                raise FileError(f"'{path}' is not a reconstruction: it is not a .npz file, or it is truncated")
-            stream.seek(0)
-            with np.load(stream, allow_pickle=False) as archive:
-                missing = [name for name in _NAMES if name not in archive.files]
-                if missing:
-                    listed = ", ".join(sorted(archive.files)) or "nothing"
-                    raise FileError(f"'{path}' is not a reconstruction: {', '.join(missing)} missing, found {listed}")
-                return {name: archive[name] for name in (*_NAMES, "groups") if name in archive.files}
-    except FileError:  # a ValueError too: keep it from the clause below
-        raise
-    except OSError as error:
-        raise FileError(f"cannot read '{path}': {error.strerror or error}") from error
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        ValueError,
-        EOFError,
-        KeyError,
-        RuntimeError,
-        MemoryError,
-    ) as error:
-        # ValueError covers pickled members and malformed headers, RuntimeError encrypted ones.
-        raise FileError(f"'{path}' is not a reconstruction: {_first_line(error)}") from error
-
-
-def _read_about(path: str | os.PathLike[str], array: np.ndarray) -> dict[str, Any]:
-    try:
-        about = json.loads(str(array[()])) if array.dtype.kind == "U" and array.ndim == 0 else None
-    except ValueError:
-        about = None
-    if not isinstance(about, dict) or not {"format", "method", "options", "diagnostics"} <= about.keys():
-        raise FileError(f"'{path}' is not a valid reconstruction: 'about' is not the JSON text that save() writes")
-    if about["format"] != _FORMAT:
-        raise FileError(f"'{path}' has format {about['format']!r}, and this version of nrsfm reads '{_FORMAT}'")
-    return about
-
-
-def _first_line(error: BaseException) -> str:
-    lines = str(error).splitlines()
-    return lines[0] if lines else type(error).__name__
 
 
 def _real(value: Any, name: str) -> np.ndarray:
@@ -272,10 +237,66 @@ def _real(value: Any, name: str) -> np.ndarray:
     return array
 
 
-def _check_finite(array: np.ndarray, name: str) -> None:
-    bad = sum(int(np.count_nonzero(~np.isfinite(part))) for part in array)
-    if bad:
-        raise InputError(f"{name}: every number must be finite, received {bad} that are NaN or infinite")
+def _of_shape(value: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    array = _real(value, name)
+    if array.shape != shape:
+        raise InputError(f"{name}: shape {shape} is needed, received {array.shape}")
+    return array
+
+
+def _check_points(shapes: np.ndarray) -> np.ndarray:
+    """Return which points (P,) are finite in every frame; the others must be NaN everywhere."""
+    if all(bool(np.isfinite(frame).all()) for frame in shapes):  # frame by frame: no mask of the input's size
+        return np.ones(shapes.shape[1], dtype=bool)
+    finite = np.isfinite(shapes[0, :, 0])
+    for f, frame in enumerate(shapes):
+        wrong = np.where(finite, ~np.isfinite(frame).all(axis=1), ~np.isnan(frame).all(axis=1))
+        if wrong.any():
+            point = int(np.argmax(wrong))
+            raise InputError(
+                "shapes: a point must be finite in every frame, or NaN in every frame and coordinate where it could "
+                f"not be reconstructed, received point {point} with {_listed(frame[point])} in frame {f} and "
+                f"{_listed(shapes[0, point])} in frame 0"
+            )
+    count = int(np.count_nonzero(finite))
+    if count < _LEAST_POINTS:
+        raise InputError(
+            f"shapes: at least {_LEAST_POINTS} points must be finite, received {count} of {len(finite)}, the others NaN"
+        )
+    return finite
+
+
+def _listed(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in point) + ")"
+
+
+def _check_confidence(confidence: np.ndarray, reconstructed: np.ndarray) -> None:
+    for f, row in enumerate(confidence):
+        wrong = ~((row >= 0) & (row <= 1))  # NaN too
+        if wrong.any():
+            point = int(np.argmax(wrong))
+            raise InputError(
+                f"confidence: numbers from 0 to 1 are needed, received {row[point]:g} in frame {f}, point {point}"
+            )
+        lost = (row > 0) & ~reconstructed
+        if lost.any():
+            point = int(np.argmax(lost))
+            raise InputError(
+                "confidence: 0 is needed for points that were not reconstructed, received "
+                f"{row[point]:g} in frame {f}, point {point}"
+            )
+
+
+def _check_deviation(deviation: np.ndarray, reconstructed: np.ndarray) -> None:
+    for f, row in enumerate(deviation):
+        wrong = ~(np.isfinite(row) & (row >= 0)) & reconstructed
+        wrong |= ~np.isnan(row) & ~reconstructed
+        if wrong.any():
+            point = int(np.argmax(wrong))
+            rule = "a finite number of at least 0" if reconstructed[point] else "NaN, as it was not reconstructed,"
+            raise InputError(
+                f"depth_deviation: {rule} is needed for point {point}, received {row[point]:g} in frame {f}"
+            )
 
 
 def _check_rotations(rotations: np.ndarray) -> None:
@@ -289,12 +310,3 @@ def _check_rotations(rotations: np.ndarray) -> None:
     determinants = np.linalg.det(rotations)
     if np.any(determinants < 0):
         raise InputError(f"rotations: every determinant must be 1, received -1 in frame {int(np.argmin(determinants))}")
-
-
-def _plain(value: Any) -> Any:
-    """JSON's word for a NumPy scalar or array."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} {value!r}")

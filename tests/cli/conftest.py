@@ -120,6 +120,30 @@ def tracks_file(tmp_path):
 
 
 @pytest.fixture
+def real_result():
+    """What tracks with holes give: 6 frames of 10 points, one without a shape, deviations of 0.5, two unseen."""
+    rng = np.random.default_rng(1)
+    q, _ = np.linalg.qr(rng.standard_normal((6, 3, 3)))
+    shapes, confidence, deviation = rng.standard_normal((6, 10, 3)), np.ones((6, 10)), np.full((6, 10), 0.5)
+    shapes[:, 9], confidence[:, 9], deviation[:, 9] = np.nan, 0.0, np.nan
+    confidence[0, :2], confidence[1, 0] = 0.0, 0.01
+    return Reconstruction(
+        shapes=shapes,
+        rotations=q * np.sign(np.linalg.det(q))[:, None, None],
+        translations=np.zeros((6, 2)),
+        scales=np.ones(6),
+        groups=np.array([0, 0, 0, 1, 1, 1, 1, 1, 1, -1]),
+        diagnostics={
+            "repair": {"missing": 8, "outliers": 1},
+            "mirror": {"rule": "nose towards the camera", "decided": True},
+        },
+        method="auto",
+        confidence=confidence,
+        depth_deviation=deviation,
+    )
+
+
+@pytest.fixture
 def command(capsys):
     """Run ``nrsfm`` in this process: (exit code, stdout, stderr)."""
 

@@ -72,6 +72,54 @@ def test_points_that_are_not_known_do_not_count(command, result, saved, tmp_path
     assert json.loads(out)["mocap_error"] is None
 
 
+def test_points_without_a_shape_are_not_scored_and_it_is_said(command, real_result, tmp_path):
+    real_result.save(tmp_path / "r.npz")
+    shapes = real_result.shapes.copy()
+    shapes[:, 9] = 1e6
+    np.savez(tmp_path / "truth.npz", shapes=shapes, rotations=real_result.rotations)
+    code, out, err = command("evaluate", tmp_path / "r.npz", tmp_path / "truth.npz", "--json")
+    found = json.loads(out)
+    assert (code, err) == (0, "")
+    assert max(found["shape_error"].values()) < 1e-6
+    assert found["mocap_error"] < 1e-6
+    assert (found["points"], found["scored_points"], found["scored_entries"]) == (10, 9, 54)
+    assert found["depth_calibration"]["within_1"] == 1.0
+    assert (found["depth_calibration"]["entries"], found["depth_calibration"]["cameras"]) == (54, "true")
+    _, out, _ = command("evaluate", tmp_path / "r.npz", tmp_path / "truth.npz")
+    assert "  9 of 10 points, 54 of 60 entries" in out
+    assert "  100.0 % and 100.0 % (68.3 % and 95.4 % of normal errors)" in out
+
+
+@pytest.mark.parametrize("frame", ["object", "camera"])
+def test_depth_errors_are_compared_with_their_deviations(command, tmp_path, frame):
+    rng = np.random.default_rng(2)
+    q, _ = np.linalg.qr(rng.standard_normal((6, 3, 3)))
+    rotations = q * np.sign(np.linalg.det(q))[:, None, None]
+    seen = rng.standard_normal((6, 200, 3))
+    wrong = seen + 0.1 * rng.standard_normal((6, 200, 1)) * [0, 0, 1]
+    shapes, truth = (np.einsum("fji,fpj->fpi", rotations, array) for array in (wrong, seen))
+    result = Reconstruction(shapes, rotations, np.zeros((6, 2)), np.ones(6), depth_deviation=np.full((6, 200), 0.1))
+    result.save(tmp_path / "r.npz")
+    stored = {"shapes": truth, "rotations": rotations} if frame == "object" else {"shapes": seen}
+    np.savez(tmp_path / "truth.npz", **stored)
+    _, out, _ = command("evaluate", tmp_path / "r.npz", tmp_path / "truth.npz", "--truth-frame", frame, "--json")
+    found = json.loads(out)["depth_calibration"]
+    assert found["within_1"] == pytest.approx(0.683, abs=0.05)
+    assert found["within_2"] == pytest.approx(0.954, abs=0.03)
+    assert found["cameras"] == "true"
+
+
+def test_nothing_to_score_is_no_fault(command, real_result, tmp_path):
+    real_result.save(tmp_path / "r.npz")
+    valid = np.zeros((6, 10), dtype=bool)
+    valid[:, 9] = True
+    np.savez(tmp_path / "truth.npz", shapes=np.ones((6, 10, 3)), valid=valid)
+    code, out, _ = command("evaluate", tmp_path / "r.npz", tmp_path / "truth.npz", "--json")
+    found = json.loads(out)
+    assert (code, found["scored_entries"], found["depth_calibration"]) == (0, 0, None)
+    assert found["shape_error"]["global"] is None
+
+
 @pytest.mark.parametrize(
     ("make", "text"),
     [

@@ -29,6 +29,26 @@ def test_info_of_a_reconstruction(command, pipeline, tracks_file, tmp_path):
         assert text in out
 
 
+def test_info_of_a_reconstruction_of_real_tracks(command, real_result, tmp_path):
+    real_result.save(tmp_path / "r.npz")
+    code, out, err = command("info", tmp_path / "r.npz")
+    assert (code, err) == (0, "")
+    for text in ("8 entries, 13.33 %", "1 of 10 points", "median 0.5, 95 % below 0.5", "nose towards the camera"):
+        assert text in out
+    found = json.loads(command("info", tmp_path / "r.npz", "--json")[1])
+    assert (found["not_reconstructed"], found["missing"], found["depth_deviation"]["median"]) == (1, 8, 0.5)
+
+
+def test_info_of_a_damaged_file_is_an_error(command, tracks_file):
+    content = bytearray(tracks_file.read_bytes())
+    content[300] ^= 0xFF  # within the numbers of the first array
+    tracks_file.write_bytes(content)
+    code, out, err = command("info", tracks_file)
+    assert (code, out) == (2, "")
+    assert err.startswith("nrsfm: error: cannot read ")
+    assert err.count("\n") == 1
+
+
 def test_info_of_something_else_lists_what_is_there(command, tmp_path):
     np.savez(tmp_path / "x.npz", apples=np.zeros((2, 3)), pears=np.zeros(4))
     code, out, _ = command("info", tmp_path / "x.npz")

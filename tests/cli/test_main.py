@@ -80,6 +80,51 @@ def test_ctrl_c_is_130(command, monkeypatch):
     assert command("methods") == (130, "", "nrsfm: interrupted\n")
 
 
+def interrupted_at(module):
+    """Run ``nrsfm methods`` in a process in which Ctrl-C is pressed when the module is first imported."""
+    code = (
+        "import os, signal, sys\n"
+        "class Press:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            sys.meta_path.remove(self)\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "from nrsfm.cli import main\n"
+        "sys.meta_path.insert(0, Press())\n"
+        "sys.exit(main(['methods']))\n"
+    )
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("module", ["nrsfm.cli.command", "numpy", "argparse", "nrsfm.cli.methods", "nrsfm.methods"])
+def test_ctrl_c_while_python_imports_is_130_without_a_traceback(module):
+    found = interrupted_at(module)
+    assert (found.returncode, found.stdout) == (130, "")
+    assert found.stderr in ("", "nrsfm: interrupted\n")
+
+
+def test_the_entry_imports_next_to_nothing():
+    code = (
+        "import sys, nrsfm.cli; assert not {'numpy', 'argparse', 'nrsfm.errors', 'importlib.metadata'} & {*sys.modules}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_caller_keeps_its_own_answer_to_ctrl_c(command):
+    import signal
+
+    def own(number, frame):
+        raise KeyboardInterrupt
+
+    for handler in (own, signal.SIG_IGN, signal.default_int_handler):
+        previous = signal.signal(signal.SIGINT, handler)
+        try:
+            assert command("--version")[0] == 0
+            assert signal.getsignal(signal.SIGINT) is handler
+        finally:
+            signal.signal(signal.SIGINT, previous)
+
+
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_reader_that_goes_away_is_no_fault(tracks_file, unbuffered):
     process = subprocess.Popen(

@@ -283,3 +283,37 @@ def test_a_signal_in_mid_run_leaves_nothing(tracks_file, tmp_path, number, code,
     assert process.returncode == code
     assert err == f"nrsfm: {said}\n"
     assert names(tmp_path) == ["tracks.npz"]
+
+
+def test_tracks_with_holes_become_a_result_with_holes(command, pipeline, monkeypatch, real_result, tmp_path):
+    """Missing entries are counted, handed on, saved, scored, told and drawn, whatever the method made of them."""
+    import nrsfm
+    from nrsfm.viewing.style import save_figure
+
+    seen = np.ones((6, 10), dtype=bool)
+    seen[:, 9] = False
+    seen[0, :2] = False
+    points = np.where(seen[..., None], np.random.default_rng(0).uniform(0, 9, (6, 10, 2)), np.nan)
+    np.savez(tmp_path / "t.npz", tracks=points, visible=seen)
+    np.savez(tmp_path / "truth.npz", shapes=np.random.default_rng(1).standard_normal((6, 10, 3)))
+    given = []
+
+    def reconstruct(tracks, **options):
+        given.append(tracks)
+        return real_result
+
+    monkeypatch.setattr(nrsfm, "reconstruct", reconstruct)
+    monkeypatch.setattr("nrsfm.viewing.save_figure", lambda figure, path: save_figure(figure, path, dpi=20))
+    monkeypatch.setattr("nrsfm.viewing.panels._PIXELS_PER_INCH", 20)
+    out = tmp_path / "o"
+    code, shown, err = command("reconstruct", tmp_path / "t.npz", "--out", out, "--truth", tmp_path / "truth.npz")
+    assert (code, err) == (0, "")
+    assert given[0].n_missing == 8
+    for text in ("8 of 60 entries missing", "1 of 10 points not reconstructed", "9 of 10 points, 54 of 60 entries"):
+        assert text in shown
+    assert "could not be drawn" not in shown
+    assert {"overview.png", "uncertainty.png", "error.png", "groups.png"} <= set(names(out))
+    assert json.loads((out / "config.json").read_text())["tracks"]["missing"] == 8
+    assert json.loads((out / "metrics.json").read_text())["scored_points"] == 9
+    assert load_reconstruction(out / "reconstruction.npz").n_missing == 1
+    assert command("reconstruct", tmp_path / "t.npz", "--out", out, "--overwrite", "--quiet")[0] == 0

@@ -60,6 +60,48 @@ def read_or_refuse(path):
     return results[0]
 
 
+def lost_but_described(path):
+    """Whether ``describe`` has an answer although an array that it looked at cannot be read."""
+    try:
+        problem = describe(path)["problem"]
+    except FileError:
+        return False
+    return problem is not None and "cannot read" in problem and "pickled" not in problem
+
+
+def damaged_files():
+    """Each kind of file with its array's last bytes changed, or gone: what its header promises is not there."""
+    shape = (30, 40)
+    matrix = np.random.default_rng(0).standard_normal(shape)
+    streams = {name: io.BytesIO() for name in (".npz", ".npy", ".h5", ".mat")}
+    np.savez(streams[".npz"], W=matrix)
+    np.save(streams[".npy"], matrix)
+    with h5py.File(streams[".h5"], "w") as file:
+        file.create_dataset("W", data=matrix, chunks=shape, fletcher32=True)
+    scipy.io.savemat(streams[".mat"], {"W": matrix}, do_compression=True)
+    files = {name: bytearray(stream.getvalue()) for name, stream in streams.items()}
+    for name, place in ((".npz", 5000), (".h5", len(files[".h5"]) - 100), (".mat", 5000)):
+        files[name][place] ^= 0xFF
+    files[".npy"] = files[".npy"][:-8]
+    return {name: bytes(content) for name, content in files.items()}
+
+
+@pytest.mark.parametrize(("extension", "content"), damaged_files().items())
+def test_a_damaged_array_is_an_error_and_not_something_unknown(tmp_path, extension, content):
+    path = tmp_path / f"a{extension}"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match="cannot read") as caught:
+        describe(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_of_nothing_holds_nothing(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w"):
+        pass
+    with pytest.raises(FileError, match="it holds no arrays"):
+        describe(tmp_path / "a.h5")
+
+
 @given(extension=st.sampled_from(sorted(GOOD)), share=st.floats(0, 0.999))
 def test_a_truncated_file(folder, extension, share):
     path = folder / f"cut{extension}"
@@ -82,6 +124,7 @@ def test_a_file_with_changed_bytes(folder, extension, places):
     path.write_bytes(bytes(content))
     result = read_or_refuse(path)
     assert isinstance(result, (Tracks, FileError))
+    assert not lost_but_described(path)
 
 
 @given(extension=st.sampled_from(known_extensions()), content=st.binary(max_size=300))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nrsfm.errors import FileError
-from nrsfm.files import describe
+from nrsfm.files import describe, load_shapes
 from nrsfm.reconstruction import Reconstruction
 
 
@@ -34,6 +34,33 @@ def test_a_reconstruction(tmp_path):
     found = describe(path)
     assert (found["kind"], found["frames"], found["points"]) == ("reconstruction", 5, 7)
     assert found["range"]["z"] == [shapes[..., 2].min(), shapes[..., 2].max()]
+
+
+def test_a_reconstruction_of_real_tracks(tmp_path):
+    path = tmp_path / "reconstruction.npz"
+    shapes, confidence, deviation = numbers((5, 7, 3)), np.ones((5, 7)), np.full((5, 7), 0.5)
+    shapes[:, 6], confidence[:, 6], deviation[:, 6], confidence[1, 2] = np.nan, 0, np.nan, 0
+    cameras = np.tile(np.eye(3), (5, 1, 1)), np.zeros((5, 2)), np.ones(5)
+    groups = np.array([0, 0, 1, 1, 1, 1, -1])
+    Reconstruction(
+        shapes, *cameras, groups, {"iterations": 3}, "auto", {"k": 1}, confidence=confidence, depth_deviation=deviation
+    ).save(path)
+    found = describe(path)
+    assert json.loads(json.dumps(found)) == found
+    assert (found["kind"], found["points"], found["not_reconstructed"], found["missing"]) == ("reconstruction", 7, 1, 6)
+    assert found["missing_share"] == pytest.approx(6 / 35)
+    assert found["range"]["x"] == [np.nanmin(shapes[..., 0]), np.nanmax(shapes[..., 0])]
+    assert found["depth_deviation"] == {"median": 0.5, "percentile_95": 0.5}
+    assert (found["method"], found["groups"], found["options"]) == ("auto", 2, {"k": 1})
+    assert found["diagnostics"] == {"iterations": 3}
+
+
+def test_a_reconstruction_is_true_shapes_for_others(tmp_path):
+    shapes = numbers((5, 7, 3))
+    shapes[:, 6] = np.nan
+    Reconstruction(shapes, np.tile(np.eye(3), (5, 1, 1)), np.zeros((5, 2)), np.ones(5)).save(tmp_path / "r.npz")
+    truth = load_shapes(tmp_path / "r.npz")
+    np.testing.assert_array_equal(truth.valid, np.isfinite(shapes[..., 0]))
 
 
 def test_shapes_cameras_and_the_unknown(tmp_path):

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from nrsfm.cli.intrinsics import METAVAR, read_intrinsics
 from nrsfm.errors import OptionError, suggest
 from nrsfm.options import field_types
 
@@ -93,6 +94,8 @@ def add_options(parser: Parser, title: str, cls: type) -> None:
             settings["type"] = _array_reader(field.name) if kind is np.ndarray else _converter(kind, optional)
             choices = field.metadata.get("choices")
             settings["metavar"] = "{" + ",".join(choices) + "}" if choices else _METAVARS.get(kind, "WORD")
+        if field.name in _OWN_READERS:
+            settings["type"], settings["metavar"] = _OWN_READERS[field.name]
         group.add_argument(flag_of(field.name), **settings)
 
 
@@ -102,6 +105,8 @@ def given_options(namespace: argparse.Namespace) -> dict[str, Any]:
 
 
 _METAVARS = {int: "N", float: "X", np.ndarray: "FILE"}
+# Options that can be typed in a form of their own: how they are read, and what the help calls it.
+_OWN_READERS: dict[str, tuple[Callable[[str], Any], str]] = {"intrinsics": (read_intrinsics, METAVAR)}
 
 
 def _help(field: dataclasses.Field[Any], optional: bool) -> str:

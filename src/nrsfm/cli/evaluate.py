@@ -23,9 +23,12 @@ def run(words: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="JSON in place of a table")
     given = parser.parse_strictly(words)
 
+    from nrsfm.numerics.threads import single_thread
     from nrsfm.reconstruction import load_reconstruction
 
     result = load_reconstruction(given.reconstruction)
-    found = scores(result, load_truth(given.truth, given.truth_frame))
+    truth = load_truth(given.truth, given.truth_frame)
+    with single_thread():  # many small products: threads would wait for each other
+        found = scores(result, truth)
     print(to_json(found) if given.json else columns(score_lines(found)))
     return 0

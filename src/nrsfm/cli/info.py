@@ -7,6 +7,7 @@ from typing import Any
 
 from nrsfm.cli.arguments import Parser
 from nrsfm.cli.reconstruct import add_reading
+from nrsfm.cli.summary import mirror_text
 from nrsfm.cli.text import columns, to_json
 
 
@@ -25,16 +26,6 @@ def run(words: Sequence[str]) -> int:
     from nrsfm.files import describe
 
     found = describe(given.file, order=given.order, name=given.array)
-    if found["kind"] == "reconstruction":
-        from nrsfm.reconstruction import load_reconstruction
-
-        result = load_reconstruction(given.file)
-        found |= {
-            "method": result.method,
-            "options": result.options,
-            "groups": None if result.groups is None else len(set(result.groups.tolist())),
-            "diagnostics": result.diagnostics,
-        }
     print(to_json(found) if given.json else columns(_lines(found)))
     return 0
 
@@ -49,8 +40,15 @@ def _lines(found: dict[str, Any]) -> list[tuple[str, str]]:
     lines += [(axis, f"{low:.6g} to {high:.6g}") for axis, (low, high) in found.get("range", {}).items()]
     if found["kind"] == "reconstruction":
         lines.append(("method", found["method"] or "not recorded"))
+        if found["not_reconstructed"]:
+            lines.append(("without a shape", f"{found['not_reconstructed']} of {found['points']} points"))
+        if found["depth_deviation"]:
+            middle, high = found["depth_deviation"]["median"], found["depth_deviation"]["percentile_95"]
+            lines.append(("depth deviation", f"median {middle:.3g}, 95 % below {high:.3g}"))
         if found["groups"] is not None:
             lines.append(("groups", str(found["groups"])))
+        mirror = mirror_text(found["diagnostics"])
+        lines += [("mirror", mirror)] if mirror else []
         lines += [("warning", str(text)) for text in found["diagnostics"].get("warnings", [])]
     elif found["problem"]:
         lines.append(("as tracks", f"no: {found['problem']}"))

@@ -14,7 +14,7 @@ from typing import Any
 from nrsfm.progress import Report
 
 RECONSTRUCTION, CONFIG, METRICS, LOG = "reconstruction.npz", "config.json", "metrics.json", "log.txt"
-PICTURES = ("overview", "shapes", "error", "groups", "convergence", "tracks")
+PICTURES = ("overview", "shapes", "error", "uncertainty", "groups", "convergence", "tracks")
 OUTPUT_NAMES = (RECONSTRUCTION, CONFIG, METRICS, LOG, *(f"{name}.png" for name in PICTURES))
 """All that a run writes, and so all that overwriting an output may delete."""
 

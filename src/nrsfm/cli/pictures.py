@@ -30,11 +30,13 @@ def draw(folder: Path, inputs: Inputs, result: Reconstruction, found: dict[str, 
     unit = inputs.unit
     figures: dict[str, Callable[[], Figure]] = {
         "overview": lambda: viewing.overview_figure(result, inputs.tracks, shapes, unit=unit, **scene),
-        "tracks": lambda: viewing.tracks_figure(inputs.tracks),
+        "tracks": lambda: viewing.tracks_figure(inputs.tracks, result),
         "shapes": lambda: viewing.shapes_figure(result, shapes, **scene),
     }
     if shapes is not None:
         figures["error"] = lambda: viewing.error_figure(result, shapes, unit=unit, **scene)
+    if result.depth_deviation is not None:
+        figures["uncertainty"] = lambda: viewing.uncertainty_figure(result, unit=unit, **_plain(scene))
     if result.groups is not None:
         figures["groups"] = lambda: viewing.groups_figure(result, **_plain(scene))
     if result.diagnostics.get("history"):

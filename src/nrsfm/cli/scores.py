@@ -6,11 +6,11 @@ import dataclasses
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from nrsfm.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from nrsfm.reconstruction import Reconstruction
 
 FRAMES_OF_TRUTH = ("object", "camera")
@@ -37,19 +37,31 @@ class Truth:
 
 def scores(result: Reconstruction, truth: Truth) -> dict[str, Any]:
     """Return every score that the truth allows; those that it does not allow are ``None``."""
-    from nrsfm.metrics import ALIGNMENTS, mocap_error, rotation_error, shape_error
+    from nrsfm.metrics import ALIGNMENTS, depth_calibration, mocap_error, rotation_error, shape_error
 
     truth.require_size(result.n_frames, result.n_points, "the reconstruction")
-    shapes = result.shapes if truth.frame == "object" else result.camera_shapes()
+    seen, cameras = result, truth.rotations
+    if truth.frame == "camera":
+        still = np.tile(np.eye(3), (result.n_frames, 1, 1))
+        seen, cameras = dataclasses.replace(result, shapes=result.camera_shapes(), rotations=still), still
+    counted = result.reconstructed if truth.valid is None else truth.valid & result.reconstructed
+    entries = int(np.count_nonzero(counted)) * (result.n_frames if truth.valid is None else 1)
     return {
         "frames": result.n_frames,
         "points": result.n_points,
+        "scored_points": int(np.count_nonzero(counted if truth.valid is None else counted.any(axis=0))),
+        "scored_entries": entries,
         "truth_frame": truth.frame,
-        "shape_error": {name: shape_error(shapes, truth.shapes, name, valid=truth.valid) for name in ALIGNMENTS},
+        "shape_error": {name: shape_error(seen, truth.shapes, name, valid=truth.valid) for name in ALIGNMENTS},
         # The mocap literature defines its error for complete truths only.
-        "mocap_error": mocap_error(shapes, truth.shapes) if truth.valid is None else None,
+        "mocap_error": mocap_error(seen, truth.shapes) if truth.valid is None else None,
         "rotation_error_degrees": (
             None if truth.rotations is None else rotation_error(result.rotations, truth.rotations)
+        ),
+        "depth_calibration": (
+            None
+            if result.depth_deviation is None or not entries
+            else depth_calibration(seen, truth.shapes, cameras, valid=truth.valid)
         ),
     }
 
@@ -62,4 +74,17 @@ def score_lines(values: dict[str, Any], skip: Collection[str] = ()) -> list[tupl
         lines.append(("mocap error, align global", f"{values['mocap_error']:.4f}"))
     if values["rotation_error_degrees"] is not None:
         lines.append(("rotation error", f"{values['rotation_error_degrees']:.2f} degrees"))
+    found = values["depth_calibration"]
+    if found is not None:
+        within = f"{100 * found['within_1']:.1f} % and {100 * found['within_2']:.1f} %"
+        lines.append(("depth within 1 and 2 deviations", f"{within} (68.3 % and 95.4 % of normal errors)"))
+    entries = values["frames"] * values["points"]
+    if values["scored_entries"] < entries:
+        lines.append(
+            (
+                "scored",
+                f"{values['scored_points']} of {values['points']} points, {values['scored_entries']} of {entries} "
+                "entries",
+            )
+        )
     return lines

@@ -46,6 +46,10 @@ _EXPECTED: dict[str, set[str | None]] = {
 _LISTED = 12  # names shown in an error before "..."
 
 
+class DamagedFileError(FileError):
+    """The bytes of a file do not say what its own headers and checksums promise; whatever is in it is in doubt."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Entry:
     """One array of a file: what its header says, and how to read it.
@@ -101,21 +105,27 @@ def listing(entries: dict[str, Entry]) -> str:
 def reading(path: str | os.PathLike[str], what: str) -> Iterator[None]:
     """Turn whatever a reader raises into a ``FileError`` of one line that names the file.
 
-    Readers therefore raise ``FileError`` with the reason alone.
+    Readers therefore raise ``FileError``, or ``DamagedFileError``, with the reason alone.
     """
     try:
         yield
     except FileError as error:
-        raise FileError(f"cannot read '{path}': {error}") from error
+        raise type(error)(f"cannot read '{path}': {error}") from error
     except OSError as error:
         # h5py reports every fault of content as an OSError without an error number.
         if error.errno is not None and error.strerror:
             raise FileError(f"cannot read '{path}': {error.strerror}") from error
-        raise FileError(f"cannot read '{path}': it is not {what}, or it is truncated ({brief(error)})") from error
+        raise _damaged(path, what, error) from error
     except MemoryError as error:
-        raise FileError(f"cannot read '{path}': it asks for more memory than there is ({brief(error)})") from error
+        raise DamagedFileError(
+            f"cannot read '{path}': it asks for more memory than there is ({brief(error)})"
+        ) from error
     except Exception as error:  # damaged files make the format libraries raise nearly everything
-        raise FileError(f"cannot read '{path}': it is not {what}, or it is truncated ({brief(error)})") from error
+        raise _damaged(path, what, error) from error
+
+
+def _damaged(path: str | os.PathLike[str], what: str, error: Exception) -> DamagedFileError:
+    return DamagedFileError(f"cannot read '{path}': it is not {what}, or it is truncated ({brief(error)})")
 
 
 def brief(error: BaseException, limit: int = 160) -> str:
@@ -125,10 +135,12 @@ def brief(error: BaseException, limit: int = 160) -> str:
 
 
 def check_size(name: str, shape: tuple[int, ...], itemsize: int, limit: int) -> None:
-    """Raise ``FileError`` where a header asks for more bytes than the file can hold."""
+    """Raise ``DamagedFileError`` where a header asks for more bytes than the file can hold."""
     needed = math.prod(shape) * itemsize
     if needed > limit:
-        raise FileError(f"array '{name}' should have {needed} bytes ({shape}), the file can hold {limit}: truncated")
+        raise DamagedFileError(
+            f"array '{name}' should have {needed} bytes ({shape}), the file can hold {limit}: truncated"
+        )
 
 
 def _sniff(target: Path) -> str | None:

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from nrsfm.errors import FileError
-from nrsfm.files.container import NAMELESS, Entry, open_arrays
+from nrsfm.files.container import NAMELESS, DamagedFileError, Entry, open_arrays
 from nrsfm.files.loading import load_rotations, load_shapes, load_tracks
+from nrsfm.files.reconstructions import ABOUT, ARRAYS
+from nrsfm.reconstruction import Reconstruction, load_reconstruction
 
-_RECONSTRUCTION = ("shapes", "rotations", "translations", "scales")
 _AXES = "xyz"
+_SAMPLE = 2_000_000  # numbers that are enough for a median
 
 
 def describe(path: str | os.PathLike[str], *, order: str | None = None, name: str | None = None) -> dict[str, Any]:
@@ -25,14 +27,19 @@ def describe(path: str | os.PathLike[str], *, order: str | None = None, name: st
     tracks, shapes and cameras can be read), and ``problem``, why the file is not usable as tracks, or
     ``None``. For tracks and shapes also ``frames``, ``points``, ``dtype``, ``missing`` (entries),
     ``missing_share`` (0 to 1), and ``range`` (per axis the least and greatest known coordinate, in the file's
-    unit). ``order`` and ``name`` are those of :func:`~nrsfm.files.load_tracks`.
+    unit). For a reconstruction also ``method``, ``options``, ``diagnostics``, ``groups`` (how many, or ``None``),
+    ``not_reconstructed`` (points), ``missing`` (measurements of confidence 0), and ``depth_deviation`` (its
+    ``median`` and the value that 95 % stay below, ``percentile_95``, or ``None``). ``order`` and ``name`` are those
+    of :func:`~nrsfm.files.load_tracks`.
 
     Raises
     ------
     FileError
-        The file cannot be read at all.
+        The file cannot be read at all, holds nothing, or an array that was looked at is damaged.
     """
     entries = open_arrays(path)
+    if not entries:
+        raise FileError(f"cannot use '{path}': it holds no arrays")
     result: dict[str, Any] = {
         "path": str(path),
         "format": Path(path).suffix.lower().lstrip("."),
@@ -42,14 +49,8 @@ def describe(path: str | os.PathLike[str], *, order: str | None = None, name: st
         "holds": [],
         "problem": None,
     }
-    if all(name in entries for name in _RECONSTRUCTION):
-        truth = load_shapes(path)
-        return {
-            **result,
-            "kind": "reconstruction",
-            "holds": ["shapes", "cameras"],
-            **_summary(truth.shapes, None),
-        }
+    if all(name in entries for name in (*ARRAYS, ABOUT)):
+        return {**result, "kind": "reconstruction", "holds": ["shapes", "cameras"], **_of_result(path)}
     problems: list[str] = []
     tracks = _attempt(lambda: load_tracks(path, order=order, name=name), problems)
     truth_or_none = cameras = None
@@ -74,6 +75,8 @@ def describe(path: str | os.PathLike[str], *, order: str | None = None, name: st
 def _attempt(load: Callable[[], Any], problems: list[str]) -> Any:
     try:
         return load()
+    except DamagedFileError:  # what the file lacks is an answer, what it has lost is not
+        raise
     except FileError as error:
         problems.append(str(error))
         return None
@@ -81,6 +84,31 @@ def _attempt(load: Callable[[], Any], problems: list[str]) -> Any:
 
 def _array(name: str, entry: Entry) -> dict[str, Any]:
     return {"name": name, "shape": list(entry.shape), "dtype": entry.dtype}
+
+
+def _of_result(path: str | os.PathLike[str]) -> dict[str, Any]:
+    result = load_reconstruction(path)
+    known = result.reconstructed
+    unseen = 0 if result.confidence is None else result.confidence.size - int(np.count_nonzero(result.confidence))
+    return {
+        **_summary(result.shapes, np.broadcast_to(known, result.shapes.shape[:2])),
+        "missing": unseen,
+        "missing_share": unseen / (result.n_frames * result.n_points),
+        "not_reconstructed": result.n_missing,
+        "depth_deviation": _deviation(result, known),
+        "method": result.method,
+        "options": result.options,
+        "groups": None if result.groups is None else len(np.unique(result.groups[known])),
+        "diagnostics": result.diagnostics,
+    }
+
+
+def _deviation(result: Reconstruction, known: np.ndarray) -> dict[str, float] | None:
+    if result.depth_deviation is None:
+        return None
+    step = max(1, result.depth_deviation.size // _SAMPLE)
+    middle, high = np.percentile(result.depth_deviation[:, known][:, ::step], [50, 95])
+    return {"median": float(middle), "percentile_95": float(high)}
 
 
 def _summary(points: np.ndarray, known: np.ndarray | None) -> dict[str, Any]:

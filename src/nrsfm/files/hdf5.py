@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nrsfm.errors import FileError
-from nrsfm.files.container import Entry, check_size
+from nrsfm.files.container import DamagedFileError, Entry, check_size
 
 
 def read(path: Path) -> dict[str, Entry]:
@@ -75,7 +74,7 @@ def _sparse(path: Path, name: str, group: Any) -> Entry:
             data = group["data"][()] if "data" in group else np.empty(0)
             indices = group["ir"][()].astype(np.int64) if "ir" in group else np.empty(0, dtype=np.int64)
         if indices.size and (indices.min() < 0 or indices.max() >= rows):
-            raise FileError(f"sparse matrix '{name}' has row numbers outside its {rows} rows")
+            raise DamagedFileError(f"sparse matrix '{name}' has row numbers outside its {rows} rows")
         matrix = csc_array((data, indices, starts), shape=(rows, columns))
         dense: np.ndarray = matrix.toarray()
         return dense

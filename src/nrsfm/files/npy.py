@@ -9,7 +9,7 @@ from typing import IO
 import numpy as np
 
 from nrsfm.errors import FileError
-from nrsfm.files.container import NAMELESS, Entry
+from nrsfm.files.container import NAMELESS, DamagedFileError, Entry
 
 
 def header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
@@ -26,12 +26,12 @@ def header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
 
 
 def check(name: str, shape: tuple[int, ...], dtype: np.dtype, held: int) -> None:
-    """Raise ``FileError`` for pickled objects, and where the header promises other than ``held`` bytes."""
+    """Raise ``FileError`` for pickled objects; ``DamagedFileError`` where the header promises not ``held`` bytes."""
     if dtype.hasobject:
         raise FileError(f"array '{name or 'array'}' holds pickled objects, which are never unpickled: store numbers")
     needed = math.prod(shape) * dtype.itemsize
     if held != needed:
-        raise FileError(
+        raise DamagedFileError(
             f"array '{name or 'array'}' should have {needed} bytes, the file holds {held}: truncated or damaged"
         )
 

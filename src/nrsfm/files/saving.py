@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -45,7 +45,8 @@ def _arrays(tracks: Tracks) -> dict[str, np.ndarray]:
 
 
 def _write_npz(tracks: Tracks, stream: IO[bytes]) -> None:
-    np.savez(stream, allow_pickle=False, **_arrays(tracks))
+    arrays: dict[str, Any] = _arrays(tracks)
+    np.savez(stream, **arrays)
 
 
 def _write_hdf5(tracks: Tracks, stream: IO[bytes]) -> None:

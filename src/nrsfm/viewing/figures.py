@@ -136,8 +136,44 @@ def error_figure(
     scene = make_scene(reconstruction, truth, **options)
     gaps = scene.point_errors()
     known = gaps[np.isfinite(gaps)]
-    limit = round_up(float(np.percentile(known, 98))) if known.size else 1.0
-    front = scene.views if scene.edges is not None else np.tile(scene.middle, (len(gaps), 1, 1))
+    median = float(np.median(known)) if known.size else float("nan")
+    subtitle = f"{scene.alignment} · median {median:.3g} {unit}".rstrip()
+    return _coloured_figure(scene, gaps, title, subtitle, "distance from the truth", unit)
+
+
+def uncertainty_figure(
+    reconstruction: Any,
+    *,
+    unit: str = "px",
+    title: str = "Uncertainty of the depth",
+    **options: Unpack[SceneOptions],
+) -> Figure:
+    """Draw the standard deviation of the depth of every point as colour, in several frames, from front and side.
+
+    ``reconstruction`` is a ``Reconstruction`` with ``depth_deviation``, ``unit`` names its unit. The scale ends at
+    the 98th percentile of what is shown; its upper side is relative to the RMS distance of the points from their
+    centre. Other parameters as in :func:`shapes_figure`. Raises ``InputError`` where there is no deviation.
+    """
+    deviation = getattr(reconstruction, "depth_deviation", None)
+    if deviation is None:
+        raise InputError("depth_deviation: it is needed to draw the uncertainty, received none")
+    scene = make_scene(reconstruction, **options)
+    values = np.asarray(deviation[scene.frames], dtype=np.float64)
+    known = values[np.isfinite(values)]
+    subtitle = f"standard deviation along the camera's axis · median {np.median(known):.3g} {unit}".rstrip()
+    return _coloured_figure(scene, values, title, subtitle, "depth deviation", unit)
+
+
+def scale_end(values: np.ndarray) -> float:
+    """The round number at which a colour scale of these values ends; 1 where none is known."""
+    known = values[np.isfinite(values)]
+    return round_up(float(np.percentile(known, 98))) if known.size else 1.0
+
+
+def _coloured_figure(scene: Scene, values: np.ndarray, title: str, subtitle: str, label: str, unit: str) -> Figure:
+    """The shapes of the scene from front and side, coloured by values (n, P), with a colour bar."""
+    limit = scale_end(values)
+    front = scene.views if scene.edges is not None else np.tile(scene.middle, (len(values), 1, 1))
     rows = [_views(scene.shapes, rotations) for rotations in (front, side_views(scene))]
     windows = [window(r) for r in rows]
     columns, room = len(scene.frames), WIDTH - _GUTTER - _EDGE
@@ -145,8 +181,6 @@ def error_figure(
     units, column = _scale(both, columns, room)
     heights = [2 * v.half[1] / units for v in windows]
     height = _HEADER + sum(heights) + 0.1 + 0.35
-    median = float(np.median(known)) if known.size else float("nan")
-    subtitle = f"{scene.alignment} · median {median:.3g} {unit}".rstrip()
     with house_style():
         figure = new_figure(height, title, subtitle)
         top = _HEADER
@@ -154,24 +188,15 @@ def error_figure(
             side_label(figure, 0.5, top + heights[i] / 2, ("front", "side")[i])
             for j, cloud in enumerate(clouds):
                 centre = _GUTTER + (j + 0.5) * column
-                colours = colour_of(gaps[j], limit)
-                draw_shape(
-                    figure,
-                    centre - view.half[0] / units,
-                    top,
-                    units,
-                    view,
-                    cloud,
-                    colours,
-                    scene,
-                    strength=0.45,
-                )
+                left = centre - view.half[0] / units
+                colours = colour_of(values[j], limit)
+                draw_shape(figure, left, top, units, view, cloud, colours, scene, strength=0.45)
                 if i == 0:
                     caption(figure, centre, _HEADER - 0.17, f"frame {scene.frames[j]}")
                 elif scene.errors is not None:
                     caption(figure, centre, top + heights[i] + 0.05, f"e3D {scene.errors[j]:.3f}")
             top += heights[i] + 0.1
-        colour_bar(figure, WIDTH - 3.2 - _EDGE, 0.48, 3.0, limit, "distance from the truth", scene.size, unit)
+        colour_bar(figure, WIDTH - 3.2 - _EDGE, 0.48, 3.0, limit, label, scene.size, unit)
     return figure
 
 
@@ -190,22 +215,32 @@ def groups_figure(
     scene = make_scene(reconstruction, **SceneOptions(**{"count": 24, **options}))
     labels = check_groups(reconstruction, groups, scene.shapes.shape[1])
     mean = mean_shape(scene.shapes)
-    names, palette = group_colours(labels, mean)
-    colours = palette[np.searchsorted(names, labels)]
+    colours, sizes = colours_of_groups(labels, mean)
     clouds = [mean @ turned(scene.middle, angle).T for angle in (50.0, 0.0, -50.0)]
     view = window(clouds)
     units, column = _scale(view, 3, WIDTH - 2 * _EDGE, 4.2)
     tall = 2 * view.half[1] / units
     column = min(column, 2 * view.half[0] / units * 1.2)
     start = (WIDTH - 3 * column) / 2
-    sizes = np.bincount(np.searchsorted(names, labels))
-    subtitle = f"{len(names)} groups of {sizes.min():,} to {sizes.max():,} points, on the mean shape"
+    subtitle = f"{len(sizes)} groups of {sizes.min():,} to {sizes.max():,} points, on the mean shape"
     with house_style():
         figure = new_figure(_HEADER + tall + 0.05, title, subtitle)
         for j, cloud in enumerate(clouds):
             left = start + (j + 0.5) * column - view.half[0] / units
             draw_shape(figure, left, _HEADER - 0.2, units, view, cloud, colours, scene, strength=0.6, crisp=True)
     return figure
+
+
+def colours_of_groups(labels: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Colours (P, 3) of the points, and the sizes (K,) of the groups; points without a mean shape are in none."""
+    known = np.isfinite(mean).all(axis=1)
+    colours = np.ones((len(labels), 3))
+    if not known.any():
+        return colours, np.zeros(1, dtype=int)
+    names, palette = group_colours(labels[known], mean[known])
+    index = np.searchsorted(names, labels[known])
+    colours[known] = palette[index]
+    return colours, np.bincount(index)
 
 
 def check_groups(reconstruction: Any, groups: Any, points: int) -> np.ndarray:

@@ -24,7 +24,8 @@ class Scene:
     frames
         (n,) the frames shown.
     shapes, truth
-        (n, P, 3) reconstruction and truth, or ``None`` for no truth; NaN where a point is not known.
+        (n, P, 3) reconstruction and truth, or ``None`` for no truth; NaN where a point is not known. The truth of
+        a point that was not reconstructed is there.
     views
         (n, 3, 3) camera from object in each frame shown.
     middle
@@ -170,11 +171,17 @@ def _pairs(shapes: np.ndarray, truth: np.ndarray, valid: np.ndarray | None, fram
 
 
 def mean_shape(shapes: np.ndarray) -> np.ndarray:
-    """Mean (P, 3) over the frames in which each point is known; NaN where it never is."""
+    """Mean (P, 3), or (P, 2), over the frames in which each point is known; NaN where it never is."""
     known = np.isfinite(shapes).all(axis=2)
     total = np.where(known[..., None], shapes, 0.0).sum(axis=0)
     count = known.sum(axis=0)[:, None]
     return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+
+
+def _mean_of_either(moved: np.ndarray, aligned: np.ndarray | None) -> np.ndarray:
+    """Mean (P, 3) of the reconstruction, and of the truth for points that were not reconstructed."""
+    mean = mean_shape(moved)
+    return mean if aligned is None else np.where(np.isfinite(mean), mean, mean_shape(aligned))
 
 
 def _turn(cross: np.ndarray) -> np.ndarray:
@@ -245,13 +252,13 @@ def make_scene(
             cross = sum(a[k].T @ b[k] for k, a, b in _pairs(shapes, true, mask, range(total)))
             turn = _turn(np.asarray(cross))
         aligned, errors, views = np.empty_like(moved), np.full(len(chosen), np.nan), views.copy()
-        for i, (known, a, b) in enumerate(_pairs(shapes, true, mask, chosen)):
+        for i, (f, (known, a, b)) in enumerate(zip(chosen, _pairs(shapes, true, mask, chosen), strict=True)):
             if align in ("per-frame", "similarity"):
                 turn = _turn(a[known].T @ b[known])
             a = a @ turn
             if align == "similarity" and np.any(a[known]):
                 a *= np.sum(a[known] * b[known]) / np.sum(a[known] ** 2)
-            moved[i], aligned[i] = a, np.where(known[:, None], b, np.nan)
+            moved[i], aligned[i] = a, b if mask is None else np.where(mask[f][:, None], b, np.nan)
             norm = np.linalg.norm(b[known])
             errors[i] = np.linalg.norm(a[known] - b[known]) / norm if norm > 0 else np.nan
             views[i] = views[i] @ turn if true_cameras is None else true_cameras[chosen[i]]
@@ -259,8 +266,8 @@ def make_scene(
 
     joined, lines = _indices(faces, "faces", (3, 4), points), _indices(edges, "edges", (2,), points)
     if joined is None and lines is None:
-        joined = surface_triangles(mean_shape(moved) @ middle.T)
-    reference = moved if aligned is None else aligned
+        joined = surface_triangles(_mean_of_either(moved, aligned) @ middle.T)
+    reference = moved if aligned is None else np.where(np.isfinite(moved), aligned, np.nan)
     square = np.nansum(reference**2, axis=2)
     seen = np.isfinite(reference).all(axis=2).sum()
     size = float(np.sqrt(square.sum() / seen)) if seen else 0.0

@@ -22,6 +22,8 @@ GREY = "#68717d"
 HAIRLINE = "#d9d6d0"
 TRUTH = "#dccbba"
 ESTIMATE = "#a4bfdb"
+SEEN, UNSEEN, OUTLIER, LOST = "#86a7c8", "#e3ded5", "#c8553d", "#b5aea3"
+"""What became of a measurement: used, never made, not believed, made of a point that has no shape."""
 LINE_COLOURS = ("#2f6ea8", "#c8553d", "#3d8b6e")
 
 WIDTH = 10.0
