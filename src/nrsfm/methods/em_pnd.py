@@ -34,14 +34,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrsfm.manifolds.procrustes import onto_tangent_space, procrustes_mean
 from nrsfm.methods.base import Monitor, Needs, Problem, Solution
-from nrsfm.methods.procrustean_normal import ProcrusteanNormal, leading_covariance, posterior
+from nrsfm.methods.procrustean_fit import Schedule, fit, unit_size
 from nrsfm.options import option
 
 FACTORS = 60
 FIRST_SPREAD = 1e-4  # isotropic part of the first covariance (as published), in shares of a shape's squared size
-_MEAN_ROUNDS = 3  # Procrustes rounds per iteration; the mean moves little between iterations
 
 
 @dataclass(frozen=True)
@@ -92,50 +90,27 @@ class EmPnd:
         """Alternate posterior, covariance, noise and alignment while the noise falls, then until nothing moves."""
         kept = above_noise(problem)
         tracks = problem.tracks if kept is None else problem.tracks @ kept.T
-        unit = np.sqrt(1.5 * np.mean(np.sum(tracks**2, axis=(1, 2)))) or 1.0
-        tracks = tracks / unit
-        frames, _, count = tracks.shape
+        unit = unit_size(tracks)
         third = np.cross(problem.rotations[:, 0], problem.rotations[:, 1])
         cameras = np.concatenate([problem.rotations, third[:, None]], axis=1)
-
-        start = initial_shapes(tracks, cameras)
-        shapes = cameras @ start  # in the frames of the cameras, from here on
-        mean, align, sizes = procrustes_mean(shapes, start.mean(axis=0), iterations=30)
-        flat = onto_tangent_space(mean, ((align @ shapes) / sizes[:, None, None] - mean).reshape(frames, -1).T)
-        first = flat @ flat.T / frames
-        first += FIRST_SPREAD * onto_tangent_space(mean, np.eye(3 * count))
-        factors = min(options.factors or FACTORS, 3 * count)
-        model = ProcrusteanNormal(mean, *leading_covariance(first, factors), options.first_noise)
-
-        history: dict[str, list[float]] = {"energy": [], "noise": [], "change": []}
-        damping = _Damping(frames)
-        reason, used = "iteration limit", options.max_iterations
-        for iteration in range(options.max_iterations):
-            found = posterior(model, tracks, np.swapaxes(align, 1, 2)[:, :2], sizes)
-            moved = sizes[:, None, None] * (np.swapaxes(align, 1, 2) @ (model.mean + found.deviations))
-            change = float(np.linalg.norm(moved - shapes) / max(float(np.linalg.norm(moved)), np.finfo(float).tiny))
-            aligned, shapes = damping.between(shapes, moved), moved
-            history["energy"].append(-found.likelihood)
-            history["noise"].append(model.noise)
-            history["change"].append(change)
-            noise = max(found.noise, options.cooling * model.noise, options.last_noise)
-            settled = noise > 0.99 * model.noise
-            if not np.isfinite(found.likelihood):
-                reason, used = "not finite", iteration + 1
-                break
-            if settled and change < options.least_change:
-                reason, used = "shapes settled", iteration + 1
-                break
-            basis, spread = leading_covariance(found.second_moment, factors)
-            mean, align, sizes = procrustes_mean(aligned, model.mean, iterations=_MEAN_ROUNDS)
-            model = ProcrusteanNormal(mean, onto_tangent_space(mean, basis), spread, noise)
-            monitor(_progress(noise, change, options))
-        chosen = {"factors": model.basis.shape[1], "directions": count, "last_noise": model.noise}
-        solution = Solution(shapes, None, used, reason, history, chosen)
-        turned = np.swapaxes(cameras, 1, 2) if problem.cameras_known else align
-        solution.shapes = unit * (turned @ (shapes if kept is None else shapes @ kept))
+        schedule = Schedule(
+            factors=options.factors or FACTORS,
+            first_noise=options.first_noise,
+            last_noise=options.last_noise,
+            first_spread=FIRST_SPREAD,
+            cooling=options.cooling,
+            least_change=options.least_change,
+            max_iterations=options.max_iterations,
+        )
+        tracks = tracks / unit
+        found = fit(tracks, cameras, initial_shapes(tracks, cameras), schedule, monitor)
+        model = found.model
+        chosen = {"factors": model.basis.shape[1], "directions": tracks.shape[2], "last_noise": model.noise}
+        solution = Solution(found.shapes, None, found.iterations, found.reason, found.history, chosen)
+        turned = np.swapaxes(cameras, 1, 2) if problem.cameras_known else found.align
+        solution.shapes = unit * (turned @ (found.shapes if kept is None else found.shapes @ kept))
         if not problem.cameras_known:
-            solution.rotations = np.ascontiguousarray(np.swapaxes(align, 1, 2)[:, :2])
+            solution.rotations = np.ascontiguousarray(np.swapaxes(found.align, 1, 2)[:, :2])
         return solution
 
 
@@ -165,32 +140,3 @@ def initial_shapes(tracks: np.ndarray, cameras: np.ndarray) -> np.ndarray:
     normal = np.eye(3) - views.T @ views / len(views)
     mean = np.linalg.lstsq(normal, seen.mean(axis=0), rcond=1e-6)[0]
     return np.asarray(seen + views[:, :, None] * (views @ mean)[:, None, :])
-
-
-class _Damping:
-    """Shortens the alignment's steps in frames that overshoot.
-
-    The flat prior makes them Newton steps, which can swing about the answer where a frame's camera is far off. What
-    they lead to is the same: only the shape that the next alignment is made with lies between old and new.
-    """
-
-    def __init__(self, frames: int) -> None:
-        self.share = np.ones(frames)
-        self.last: np.ndarray | float = 0.0
-
-    def between(self, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-        """Shapes (F, 3, N) to align; the share of a frame is halved when its step turns back, then grows again."""
-        step = new - old
-        back = np.sum(step * self.last, axis=(1, 2)) < 0
-        self.share = np.where(back, np.maximum(self.share / 2.0, 1.0 / 16.0), np.minimum(1.1 * self.share, 1.0))
-        self.last = step
-        return np.asarray(old + self.share[:, None, None] * step)
-
-
-def _progress(noise: float, change: float, options: EmPndOptions) -> float:
-    """Share of the work done: how far the noise has fallen, then how far the steps have."""
-    span = np.log(options.first_noise / options.last_noise) if options.first_noise > options.last_noise else 0.0
-    fallen = float(np.log(options.first_noise / noise) / span) if span > 0 and noise > 0 else 1.0
-    return float(
-        np.clip(0.8 * fallen + (0.2 * min(1.0, options.least_change / change) if change > 0 else 0.2), 0.0, 1.0)
-    )
