@@ -24,7 +24,7 @@ def main(words: list[str] | None = None) -> int:
         "--jobs",
         type=int,
         default=min(store.cores(), 4),
-        help="processes for accuracy, real and mocap, one thread each [default: %(default)s]; what is timed runs alone",
+        help="processes for what is not timed, one thread each [default: %(default)s]; what is timed runs alone",
     )
     parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="only sequences whose names hold a WORD")
     parser.add_argument("--fresh", action="store_true", help="measure again what is kept and still holds")

@@ -7,11 +7,12 @@ from statistics import mean
 from typing import Any
 
 from benchmarks import targets
-from benchmarks.runs import Case, Data, run_cases
+from benchmarks.runs import Case, run_cases
 from benchmarks.store import Context
 from benchmarks.tables import Check, degrees, error, table
+from benchmarks.tracks import Data
 
-TITLE = "Accuracy on dense sequences"
+TITLE = "Accuracy of the published algorithms on dense sequences"
 _MEASURES = ("per_frame", "global", "rotation")
 Records = dict[str, dict[str, Any]]
 
@@ -31,7 +32,7 @@ def measure(context: Context) -> dict[str, Any]:
         for method in targets.METHODS
         for cameras in ("known", "estimated")
     ]
-    return run_cases("accuracy", cases, _MEASURES, context)
+    return run_cases("accuracy", cases, _MEASURES, context, borrow=("auto",))
 
 
 def _mean(records: Records, sequence: str, noise: float, cameras: str, method: str, name: str) -> float | None:

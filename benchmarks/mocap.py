@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks import targets
-from benchmarks.runs import Case, Data, run_cases
+from benchmarks.runs import Case, run_cases
 from benchmarks.store import Context
 from benchmarks.tables import Check, degrees, error, table
+from benchmarks.tracks import Data
 
-TITLE = "Motion capture"
+TITLE = "Motion capture, published algorithms"
 _SEQUENCES = ("pickup", "yoga", "stretch", "drink", "dance", "face1", "walking", "shark")
 _WITHOUT_CAMERAS = ("walking", "shark")
 _MEASURES = ("per_frame", "global", "camera_frame", "rotation", "true_turn")

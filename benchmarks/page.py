@@ -5,11 +5,33 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any
 
-from benchmarks import accuracy, literature, mocap, quiet, real, scaling, speed, start, store
+from benchmarks import (
+    ablation,
+    accuracy,
+    auto,
+    auto_speed,
+    calibration,
+    literature,
+    mocap,
+    never_worse,
+    quiet,
+    real,
+    robust,
+    scaling,
+    speed,
+    start,
+    store,
+)
 from benchmarks.tables import NO, YES, Check, Fact, table
 from nrsfm.experiments.machine import in_words
 
 SECTIONS: dict[str, ModuleType] = {
+    "auto": auto,
+    "never-worse": never_worse,
+    "robust": robust,
+    "calibration": calibration,
+    "auto-ablation": ablation,
+    "auto-speed": auto_speed,
     "accuracy": accuracy,
     "real": real,
     "mocap": mocap,

@@ -17,6 +17,7 @@ _SEQUENCE = "face-seq3"
 _SIZES = (7_325, 29_299, 117_196, 468_784)
 _SMALL, _LARGE = 29_299, 468_784
 _ROUNDS = 3
+_BARE = {"deviation": False}  # standard deviations are a second result, half as large as the tracks in float32
 
 
 def _plan() -> list[tuple[int, float, str]]:
@@ -37,7 +38,8 @@ def measure(context: Context) -> dict[str, Any]:
 
     folder = data_folder()
     OUTPUT.mkdir(exist_ok=True)
-    rows = []
+    rows: list[dict[str, Any]] = []
+    whole: list[dict[str, Any]] = []
     others = []
     with tempfile.TemporaryDirectory(dir=OUTPUT, prefix=".scaling-") as kept:
         for points, noise, dtype in _plan():
@@ -47,12 +49,19 @@ def measure(context: Context) -> dict[str, Any]:
             del sequence
             for method in targets.OWN:
                 watch = quiet.Watch.start()
-                row = run_task("scaling_task", {"file": str(file), "method": method, "rounds": _ROUNDS})
+                given = {"file": str(file), "method": method}
+                row = run_task("scaling_task", given | {"rounds": _ROUNDS, "options": _BARE})
                 others.append(watch.others())
                 rows.append(row | {"method": method, "noise": noise})
                 say(f"scaling: {points} points, {dtype}, noise {noise:g}, {method}: {median(row['seconds']):.2f} s")
+            if points != _LARGE:
+                continue
+            for method in (*targets.OWN, targets.AUTO):
+                row = run_task("scaling_task", {"file": str(file), "method": method, "rounds": 1, "options": {}})
+                whole.append(row | {"method": method, "noise": noise})
+                say(f"scaling: {points} points, {dtype}, noise {noise:g}, {method}, with deviations")
     known = [value for value in others if value is not None]
-    return {"rows": rows, "others": max(known) if known else None, "threads": TIMED_THREADS}
+    return {"rows": rows, "whole": whole, "others": max(known) if known else None, "threads": TIMED_THREADS}
 
 
 def _find(values: dict[str, Any], points: int, noise: float, dtype: str, method: str) -> dict[str, Any]:
@@ -108,7 +117,8 @@ def checks(values: dict[str, Any]) -> list[Check]:
 def render(values: dict[str, Any]) -> list[str]:
     """Growth between the ends, then every row."""
     lines = [
-        f"The surface of `{_SEQUENCE}` sampled more and more densely, 99 frames, cameras estimated, defaults, "
+        f"The surface of `{_SEQUENCE}` sampled more and more densely, 99 frames, cameras estimated, defaults but for "
+        "`deviation=False`, "
         f"{values['threads']} threads, each measurement in a process of its own: medians of {_ROUNDS} runs; memory is "
         "the peak of the whole process after the first run, with the interpreter, the libraries, the input and the "
         f"float32 result. 'Not at all' for the iteration is taken as at most {targets.SCALING_ITERATION:g}×. "
@@ -124,7 +134,7 @@ def render(values: dict[str, Any]) -> list[str]:
     lines += ["**From 29,299 to 468,784 points**", ""]
     lines += table(["", "method", "time", "time of an iteration", "peak memory / input, at 468,784"], rows)
     lines += [_virtual(values, noise, dtype) for noise, dtype in dict.fromkeys((n, d) for n, d, _ in _ends())]
-    lines.append("")
+    lines += ["", *_with_deviations(values)]
     rows = []
     for row in sorted(values["rows"], key=lambda r: (r["method"], r["noise"], r["dtype"], r["points"])):
         above = row["peak_bytes"] - row["baseline_bytes"]
@@ -147,3 +157,24 @@ def render(values: dict[str, Any]) -> list[str]:
     head += ["input, MiB", "peak, MiB", "peak above interpreter and imports, MiB", "the same / input"]
     lines += ["**Every measurement**", ""]
     return lines + table(head, rows)
+
+
+def _with_deviations(values: dict[str, Any]) -> list[str]:
+    """What the defaults take, standard deviations of the depths included, at the largest size."""
+    rows = [
+        [
+            f"{'3% noise' if row['noise'] else 'clean'}, {row['dtype']}",
+            f"`{row['method']}`",
+            f"{row['seconds'][0]:.2f}",
+            f"{row['peak_bytes'] / row['input_bytes']:.2f}",
+            amount(row["peak_bytes"] / 2**20),
+        ]
+        for row in values.get("whole", [])
+    ]
+    if not rows:
+        return []
+    lines = [
+        f"**All defaults, with the float32 standard deviations of every depth, at {_LARGE:,} points**, one run",
+        "",
+    ]
+    return lines + table(["", "method", "seconds", "peak memory / input", "peak, MiB"], rows)

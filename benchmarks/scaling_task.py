@@ -30,17 +30,17 @@ def _peak_bytes() -> int:
 
 
 def main() -> None:
-    """Read {"file": points as .npy, "method": ..., "rounds": n}; print times and peaks."""
+    """Read {"file": points as .npy, "method": ..., "rounds": n, "options": {}}; print times and peaks."""
     settings: dict[str, Any] = json.load(sys.stdin)
     small = np.random.default_rng(0).standard_normal((12, 60, 2))
-    reconstruct(small, settings["method"])  # loads what is loaded when first used
+    reconstruct(small, settings["method"], **settings["options"])  # loads what is loaded when first used
     baseline = _peak_bytes()
     points = np.load(settings["file"])
     seconds, solving = [], []
     peak = 0
     for _ in range(settings["rounds"]):
         start = time.perf_counter()
-        result = reconstruct(points, settings["method"])
+        result = reconstruct(points, settings["method"], **settings["options"])
         seconds.append(time.perf_counter() - start)
         peak = peak or _peak_bytes()
         found = result.diagnostics

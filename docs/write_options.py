@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from nrsfm.cameras.options import CameraOptions
 from nrsfm.cli.arguments import flag_of
 from nrsfm.methods import get_method, method_names
 from nrsfm.options import field_types
-from nrsfm.pipeline import PipelineOptions
+from nrsfm.pipeline import STAGE_OPTIONS
 
 PAGE = Path(__file__).with_name("options.md")
 
@@ -37,9 +36,10 @@ def page() -> str:
     """The whole page."""
     parts = [
         _HEAD,
-        *_section("Run", "Every method takes these.", PipelineOptions),
-        *_section("Cameras", "Every method takes these; they act where no cameras are given.", CameraOptions),
     ]
+    for name, cls in STAGE_OPTIONS.items():
+        words = " ".join((cls.__doc__ or "").split("\n\n")[0].split())
+        parts += _section(name.capitalize(), f"{words} Every method takes these.", cls)
     options = {name: get_method(name).Options for name in method_names()}
     for declaring in _declaring(options.values()):
         takers = {name: cls for name, cls in options.items() if issubclass(cls, declaring)}

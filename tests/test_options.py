@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nrsfm.cameras import CameraOptions
 from nrsfm.errors import InputError, NrsfmError, OptionError, suggest
 from nrsfm.methods import get_method, method_names
 from nrsfm.options import build_options, field_types, option, split_options
-from nrsfm.pipeline import PipelineOptions
+from nrsfm.pipeline import STAGE_OPTIONS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +111,7 @@ def test_suggestions():
     assert suggest("xyz", ["grassmann"]) == ""
 
 
-ALL = [PipelineOptions, CameraOptions] + [get_method(n).Options for n in method_names()]
+ALL = list(STAGE_OPTIONS.values()) + [get_method(n).Options for n in method_names()]
 
 
 @pytest.mark.parametrize("options", ALL)
@@ -132,7 +131,7 @@ def test_every_option_of_the_package_is_documented_and_its_default_is_allowed(op
 @pytest.mark.parametrize("method", method_names())
 def test_no_name_is_declared_twice(method):
     """One keyword of ``reconstruct`` belongs to one options class."""
-    classes = (PipelineOptions, CameraOptions, get_method(method).Options)
+    classes = (*STAGE_OPTIONS.values(), get_method(method).Options)
     names = [f.name for c in classes for f in dataclasses.fields(c)]
     assert len(names) == len(set(names))
     assert not {"tracks", "method", "rotations", "seed", "progress"} & set(names)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import nrsfm
 from nrsfm.compression import measure
-from nrsfm.errors import InputError, MissingEntriesError, NrsfmError, OptionError
+from nrsfm.errors import InputError, NrsfmError, OptionError
 from nrsfm.metrics import shape_error
 
 METHODS = ["bmm", "grassmann", "geometry-aware"]
@@ -115,7 +115,7 @@ def test_any_array_is_taken(kind, tmp_path):
         "Tracks": lambda: nrsfm.Tracks(tracks, np.ones(tracks.shape[:2], dtype=bool)),
         "point-first": lambda: np.ascontiguousarray(tracks.transpose(1, 0, 2)).transpose(1, 0, 2),
     }[kind]()
-    expected, result = (nrsfm.reconstruct(t, **QUICK) for t in (tracks, given_tracks))
+    expected, result = (nrsfm.reconstruct(t, "bmm", **QUICK) for t in (tracks, given_tracks))
     np.testing.assert_allclose(result.shapes, expected.shapes, atol=1e-3 * np.abs(expected.shapes).max())
 
 
@@ -208,7 +208,7 @@ DEGENERATE = {
 }
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["auto", *METHODS])
 @pytest.mark.parametrize("kind", DEGENERATE)
 def test_degenerate_input_finishes_finite(kind, method):
     tracks, undetermined = DEGENERATE[kind]
@@ -221,7 +221,7 @@ def test_degenerate_input_finishes_finite(kind, method):
 @pytest.mark.parametrize("kind", DEGENERATE)
 def test_degenerate_input_with_known_cameras(kind):
     tracks, _ = DEGENERATE[kind]
-    result = nrsfm.reconstruct(tracks, rotations=turning_cameras(len(tracks)), **QUICK)
+    result = nrsfm.reconstruct(tracks, "geometry-aware", turning_cameras(len(tracks)), **QUICK)
     assert_sound(result, tracks)
 
 
@@ -266,13 +266,6 @@ def test_bad_tracks_are_refused_in_one_line(kind):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_entries_are_refused_with_their_number_and_place():
-    visible = np.ones(TRACKS.shape[:2], dtype=bool)
-    visible[3, 4] = visible[5, 6] = False
-    with pytest.raises(MissingEntriesError, match=r"2 missing.*frame 3, point 4"):
-        nrsfm.reconstruct(nrsfm.Tracks(TRACKS, visible))
-
-
 @pytest.mark.parametrize(
     ("options", "text"),
     [
@@ -292,7 +285,7 @@ def test_missing_entries_are_refused_with_their_number_and_place():
 )
 def test_bad_options_are_refused_with_the_nearest_name(options, text):
     with pytest.raises(OptionError, match=text):
-        nrsfm.reconstruct(TRACKS, **options)
+        nrsfm.reconstruct(TRACKS, **({"method": "geometry-aware"} | options))
 
 
 @pytest.mark.parametrize("options", [{"camera_path": "orbit"}, {"camera_method": "smoothest"}])
@@ -346,14 +339,14 @@ def test_options_are_recorded_and_precision_is_kept():
     np.testing.assert_array_equal(
         nrsfm.reconstruct(TRACKS, "grassmann", ROTATIONS, seed=3, **again).shapes, result.shapes
     )
-    assert nrsfm.reconstruct(TRACKS, rotations=ROTATIONS, **QUICK).shapes.dtype == np.float32
+    assert nrsfm.reconstruct(TRACKS, "bmm", ROTATIONS, **QUICK).shapes.dtype == np.float32
 
 
 def test_mirror_gives_the_other_solution():
     """R → D R D and S → S D with D = diag(1, 1, −1): another shape, the same tracks."""
     tracks, *_ = bending()
-    one = nrsfm.reconstruct(tracks, precision="float64", **QUICK)
-    other = nrsfm.reconstruct(tracks, precision="float64", mirror=True, **QUICK)
+    one = nrsfm.reconstruct(tracks, "bmm", precision="float64", **QUICK)
+    other = nrsfm.reconstruct(tracks, "bmm", precision="float64", mirror=True, **QUICK)
     flip = np.array([1.0, 1.0, -1.0])
     size = np.abs(one.shapes).max()
     np.testing.assert_allclose(other.shapes, one.shapes * flip, rtol=0, atol=1e-9 * size)
@@ -367,7 +360,10 @@ def test_progress_is_told_the_stages_in_order():
     told = []
     nrsfm.reconstruct(TRACKS, "bmm", progress=lambda stage, share: told.append((stage, share)))
     stages = list(dict.fromkeys(stage for stage, _ in told))
-    assert stages == ["reading tracks", "cameras", "compression", "bmm", "expansion", "mirror"]
+    assert stages == [
+        *("repair", "reading tracks", "cameras", "compression", "bmm", "object frame", "expansion", "deviation"),
+        *("mirror", "perspective"),
+    ]
     assert all(share is None or 0 <= share <= 1 for _, share in told)
 
 
@@ -383,15 +379,15 @@ def test_the_input_is_not_changed(method):
 
 def test_noise_given_is_noise_used():
     tracks, _, rotations = bending(noise=0.05, points=200)
-    result = nrsfm.reconstruct(tracks, rotations=rotations, noise_level=4.0, **QUICK)
+    result = nrsfm.reconstruct(tracks, "bmm", rotations, noise_level=4.0, **QUICK)
     assert result.diagnostics["noise"] == pytest.approx(4.0)
-    estimated = nrsfm.reconstruct(tracks, rotations=rotations, **QUICK).diagnostics["noise"]
+    estimated = nrsfm.reconstruct(tracks, "bmm", rotations, **QUICK).diagnostics["noise"]
     assert estimated == pytest.approx(5.0, rel=0.15)
 
 
 def test_compression_report_adds_up():
     tracks, _, rotations = bending(points=300, noise=0.05)
-    report = nrsfm.reconstruct(tracks, rotations=rotations, spatial_cells=5, **QUICK).diagnostics["compression"]
+    report = nrsfm.reconstruct(tracks, METHODS[1], rotations, spatial_cells=5, **QUICK).diagnostics["compression"]
     assert report["points"] == sum(report["sizes"]) == 300
     assert report["virtual_points"] == sum(report["ranks"])
     assert report["cells"] == len(report["ranks"]) == len(report["sizes"]) == 5
@@ -478,7 +474,7 @@ def test_any_legal_input_and_options_finish_finite(method, data):
 def broken_calls(draw):
     """A good call with one thing spoiled."""
     tracks, options = TRACKS[:5, :8].copy(), {}
-    kind = draw(st.sampled_from(["value", "shape", "dtype", "option", "name", "camera", "hidden"]))
+    kind = draw(st.sampled_from(["value", "shape", "dtype", "option", "name", "camera"]))
     if kind == "value":
         tracks[draw(st.integers(0, 4)), draw(st.integers(0, 7)), draw(st.integers(0, 1))] = draw(
             st.sampled_from([np.nan, np.inf, -np.inf])
@@ -490,19 +486,15 @@ def broken_calls(draw):
     elif kind == "dtype":
         tracks = draw(st.sampled_from([tracks.astype(t) for t in (complex, object, str, bool)] + [None, "a", {}, 3]))
     elif kind == "option":
-        known = {f.name: f for f in dataclasses.fields(nrsfm.pipeline.PipelineOptions)}
+        known = {f.name: f for stage in nrsfm.pipeline.STAGE_OPTIONS.values() for f in dataclasses.fields(stage)}
         name = draw(st.sampled_from(sorted(known)))
         options[name] = draw(st.sampled_from([[], {}, 1j, "??", object()]))
     elif kind == "name":
         options[draw(st.text("abcdefgh_", min_size=3, max_size=9))] = 1
-    elif kind == "camera":
+    else:
         options["rotations"] = draw(
             st.sampled_from([np.eye(3), np.zeros((5, 3, 3)), np.ones((4, 3, 3)), "x", 5, np.full((5, 2, 3), np.nan)])
         )
-    else:
-        visible = np.ones(tracks.shape[:2], dtype=bool)
-        visible[draw(st.integers(0, 4)), draw(st.integers(0, 7))] = False
-        tracks = nrsfm.Tracks(tracks, visible)
     return tracks, options
 
 
@@ -549,3 +541,191 @@ def test_known_cameras_that_do_not_turn_are_warned_of():
 def test_the_size_of_tracks_out_of_range_is_named(factor):
     with pytest.raises(nrsfm.errors.InputError, match=rf"received \d.*e[+-]{'1[89]|20'}"):
         nrsfm.reconstruct(TRACKS / np.abs(TRACKS).max() * factor)
+
+
+# The stages about the affine reconstruction.
+
+
+def with_holes(tracks, missing=0.2, seed=0):
+    """Tracks in which entries are not seen, NaN there; point 7 in one frame only, point 9 in two."""
+    visible = np.random.default_rng(seed).random(tracks.shape[:2]) >= missing
+    visible[:, [7, 9]] = False
+    visible[0, 7] = visible[:2, 9] = True
+    return nrsfm.Tracks(np.where(visible[:, :, None], tracks, np.nan), visible)
+
+
+@pytest.mark.parametrize("method", ["auto", "bmm", "grassmann"])
+def test_missing_entries_are_completed_and_points_seen_too_rarely_left_out(method):
+    points, shapes, _ = bending(30, 80)
+    tracks = with_holes(points)
+    result = nrsfm.reconstruct(tracks, method)
+    kept = np.ones(80, dtype=bool)
+    kept[[7, 9]] = False
+    np.testing.assert_array_equal(result.reconstructed, kept)
+    assert np.isfinite(result.shapes[:, kept]).all()
+    assert np.isnan(result.shapes[:, ~kept]).all()
+    assert shape_error(result, shapes, "per-frame") < 0.02
+    assert np.nanmax(result.reprojection_errors(tracks)) < 1e-2 * np.ptp(points)
+    assert result.confidence.shape == (30, 80)
+    np.testing.assert_array_equal(result.confidence > 0, tracks.visible & kept)
+    assert np.isfinite(result.depth_deviation[:, kept]).all()
+    assert np.isnan(result.depth_deviation[:, ~kept]).all()
+    assert result.diagnostics["repair"]["not_reconstructed"] == 2
+    assert result.diagnostics["repair"]["missing"] == pytest.approx(tracks.n_missing / 2400)
+    assert any("2 of 80 points are seen in fewer than" in text for text in result.diagnostics["warnings"])
+    if method == "grassmann":
+        np.testing.assert_array_equal(result.groups >= 0, kept)
+    json.dumps(result.diagnostics, allow_nan=False)
+
+
+def test_hidden_coordinates_are_never_used():
+    tracks = with_holes(bending(30, 80)[0])
+    spoiled = np.where(tracks.visible[:, :, None], tracks.points, 1e6)
+    first, second = (
+        nrsfm.reconstruct(t, "bmm", perspective="off") for t in (tracks, nrsfm.Tracks(spoiled, tracks.visible))
+    )
+    np.testing.assert_array_equal(first.shapes, second.shapes)
+
+
+def test_frames_that_nothing_ties_together_are_refused():
+    visible = np.ones(TRACKS.shape[:2], dtype=bool)
+    visible[:6, 20:] = visible[6:, :20] = False
+    with pytest.raises(InputError, match="all frames must be tied together"):
+        nrsfm.reconstruct(nrsfm.Tracks(TRACKS, visible))
+    visible[:] = True
+    visible[5, 3:] = False
+    with pytest.raises(InputError, match="at least 4 points must be seen in every frame, received 3 in frame 5"):
+        nrsfm.reconstruct(nrsfm.Tracks(TRACKS, visible))
+
+
+def test_outliers_are_found_told_and_do_little_harm():
+    points, shapes, _ = bending(30, 150, noise=0.002)
+    rng = np.random.default_rng(1)
+    wrong = rng.random(points.shape[:2]) < 0.03
+    spoiled = points + wrong[:, :, None] * 60.0 * rng.standard_normal(points.shape)
+    clean, repaired, as_it_is = (
+        nrsfm.reconstruct(tracks, "bmm", perspective="off", outliers=outliers)
+        for tracks, outliers in ((points, True), (spoiled, True), (spoiled, False))
+    )
+    assert clean.confidence is None
+    assert clean.diagnostics["repair"]["outliers"] == 0
+    assert as_it_is.confidence is None
+    assert np.mean(repaired.confidence[wrong] < 0.5) > 0.9  # some moved by a pixel or two only
+    assert np.mean(repaired.confidence[~wrong] < 0.5) < 0.01
+    assert repaired.diagnostics["repair"]["outliers"] == pytest.approx(wrong.mean(), rel=0.1)
+    assert any("outliers" in text for text in repaired.diagnostics["warnings"])
+    errors = [shape_error(result, shapes, "per-frame") for result in (clean, repaired, as_it_is)]
+    assert errors[1] < 1.15 * errors[0]
+    assert errors[2] > 5 * errors[0]
+
+
+INTRINSICS = np.array([[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def near():
+    """Tracks of a camera as far away as its focal length of 800 pixels, of an object about 500 in size; its truth."""
+    _, shapes, rotations = bending(24, 60)
+    seen = shapes @ rotations.transpose(0, 2, 1)
+    seen[..., 2] += 800.0
+    image = seen @ INTRINSICS.T
+    return image[..., :2] / image[..., 2:], shapes, rotations
+
+
+def depth_agreement(result, shapes, rotations):
+    """Correlation of the depths with the true ones: −1 for the wrong mirror image."""
+    true = np.einsum("fpj,fj->fp", shapes, rotations[:, 2])
+    return np.corrcoef(result.camera_depths().ravel(), true.ravel())[0, 1]
+
+
+@pytest.mark.parametrize("known", [INTRINSICS, None])
+def test_perspective_is_undone_and_shows_which_mirror_image_is_right(near, known):
+    tracks, shapes, rotations = near
+    affine = nrsfm.reconstruct(tracks, "bmm", perspective="off")
+    right, other = (nrsfm.reconstruct(tracks, "bmm", intrinsics=known, mirror=mirror) for mirror in (False, True))
+    report = right.diagnostics["perspective"]
+    assert report["undone"]
+    assert report["focal"] == pytest.approx(800.0, rel=1e-9 if known is not None else 0.1)
+    assert shape_error(right, shapes, "similarity") < 0.1 * shape_error(affine, shapes, "similarity")
+    assert right.diagnostics["mirror"]["rule"] == ("perspective" if known is None else "intrinsics")
+    assert right.diagnostics["mirror"]["decided"]
+    assert not any("mirror image" in text for text in right.diagnostics["warnings"])
+    assert depth_agreement(right, shapes, rotations) > 0.99
+    assert depth_agreement(other, shapes, rotations) < -0.99
+    flip = np.array([1.0, 1.0, -1.0])
+    np.testing.assert_allclose(other.shapes, right.shapes * flip, rtol=0, atol=1e-4 * np.abs(right.shapes).max())
+    for result in (right, other):
+        json.dumps([result.diagnostics, result.options], allow_nan=False)
+
+
+def test_perspective_off_takes_the_tracks_as_they_are(near):
+    result = nrsfm.reconstruct(near[0], "bmm", perspective="off", intrinsics=INTRINSICS)
+    assert result.diagnostics["perspective"] == {"undone": False, "reason": "off"}
+    assert result.diagnostics["mirror"]["rule"] not in ("perspective", "intrinsics")
+
+
+def test_orthographic_tracks_show_no_perspective():
+    for noise in (0.0, 0.05):
+        report = nrsfm.reconstruct(bending(24, 60, noise)[0], "bmm").diagnostics
+        assert not report["perspective"]["undone"]
+        assert report["mirror"] == report["cameras"]["mirror"]
+
+
+@pytest.mark.parametrize("options", [{}, {"mirror": True}, {"intrinsics": INTRINSICS}, {"gauge": "mean"}])
+def test_known_cameras_are_left_alone(near, options):
+    """Neither perspective, nor the object frame, nor the mirror moves them."""
+    tracks, shapes, rotations = near
+    result = nrsfm.reconstruct(tracks, "bmm", rotations, **options)
+    np.testing.assert_allclose(result.rotations, rotations, atol=1e-9)
+    assert depth_agreement(result, shapes, rotations) > 0.9
+    undone = "intrinsics" in options
+    assert result.diagnostics["perspective"]["undone"] == undone
+    assert shape_error(result, shapes, "none") < (0.01 if undone else 0.2)
+    ignored = any("mirror is ignored" in text for text in result.diagnostics["warnings"])
+    assert ignored == ("mirror" in options)
+
+
+@pytest.mark.parametrize("gauge", ["auto", "method", "cameras", "mean", "even", "steady"])
+def test_the_object_frame_changes_nothing_that_is_seen(gauge):
+    tracks, *_ = bending(30, 60, noise=0.01)
+    options = {"precision": "float64", "perspective": "off", "deviation": False}
+    plain, result = (nrsfm.reconstruct(tracks, "bmm", gauge=g, **options) for g in ("method", gauge))
+    size = np.abs(plain.shapes).max()
+    np.testing.assert_allclose(result.camera_shapes(), plain.camera_shapes(), rtol=0, atol=1e-9 * size)
+    assert result.diagnostics["gauge"]["chosen"] in ("method", "cameras", "mean", "even", "steady")
+    assert gauge in ("auto", result.diagnostics["gauge"]["chosen"])
+    turned = np.abs(result.rotations - plain.rotations).max()
+    assert turned > 0.01 if gauge in ("mean", "even") else turned < 2.0
+
+
+def test_depths_get_a_deviation_unless_told_otherwise():
+    tracks, *_ = bending(noise=0.02)
+    result, without = (nrsfm.reconstruct(tracks, "bmm", perspective="off", deviation=d) for d in (True, False))
+    assert result.depth_deviation.shape == tracks.shape[:2]
+    assert (result.depth_deviation > 0).all()
+    assert without.depth_deviation is None
+    assert without.diagnostics["uncertainty"] is None
+    assert "deviation" not in without.diagnostics["seconds"]
+    np.testing.assert_array_equal(result.shapes, without.shapes)
+
+
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("method", ["auto", "bmm"])
+def test_the_cameras_see_the_shapes_where_the_points_are(method, known):
+    """points[f] ≈ scales[f] · (rotations[f] @ shapes[f].T)[:2].T + translations[f] of complete orthographic tracks."""
+    points, _, rotations = bending(20, 60)
+    result = nrsfm.reconstruct(points, method, rotations if known else None)
+    assert_sound(result, points)
+    for f, shape in enumerate(result.shapes.astype(np.float64)):
+        seen = result.scales[f] * (result.rotations[f] @ shape.T)[:2].T + result.translations[f]
+        np.testing.assert_allclose(seen, points[f], rtol=0, atol=1e-3 * np.ptp(points))
+    assert result.confidence is None
+    assert result.reconstructed.all()
+
+
+def test_options_of_every_stage_are_recorded():
+    options = {"gauge": "mean", "outliers": False, "perspective": "off", "deviation": False, "least_frames": 5}
+    result = nrsfm.reconstruct(TRACKS, "bmm", **options)
+    assert options.items() <= result.options.items()
+    declared = {f.name for stage in nrsfm.pipeline.STAGE_OPTIONS.values() for f in dataclasses.fields(stage)}
+    assert declared <= result.options.keys()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nrsfm import tracks as module
-from nrsfm.errors import InputError, MissingEntriesError, NrsfmError
+from nrsfm.errors import InputError, NrsfmError
 from nrsfm.tracks import Tracks, shapes_from_matrix, shapes_to_matrix
 
 SIZES = st.tuples(st.integers(1, 6), st.integers(1, 7))
@@ -92,24 +92,6 @@ def test_what_is_not_finite_is_allowed_exactly_where_not_visible(size, data, val
     frame, point = np.argwhere(wrong.any(axis=2))[0]
     assert f"received {wrong.sum()} that" in str(caught.value)
     assert f"frame {frame}, point {point}:" in str(caught.value)
-
-
-@given(size=SIZES, data=st.data())
-def test_require_complete_counts_what_is_missing(size, data):
-    visible = data.draw(hnp.arrays(bool, size))
-    tracks = Tracks(numbers((*size, 2)), visible)
-    assert tracks.complete == visible.all()
-    if tracks.complete:
-        tracks.require_complete()
-        return
-    with pytest.raises(MissingEntriesError) as caught:
-        tracks.require_complete()
-    hidden = ~visible
-    frame, point = np.argwhere(hidden)[0]
-    text = str(caught.value)
-    assert f"{hidden.sum()} missing of {hidden.size} entries" in text
-    assert f"in {hidden.any(1).sum()} of {size[0]} frames and {hidden.any(0).sum()} of {size[1]} points" in text
-    assert f"frame {frame}, point {point}" in text
 
 
 BAD_DTYPES = [np.complex64, np.complex128, bool, object, "U3", "S3", "datetime64[s]"]

@@ -23,7 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from nrsfm.errors import InputError
-from nrsfm.numerics.noise import noise_from_neighbours, noise_from_spectrum, shrink_singular_values
+from nrsfm.numerics.noise import (
+    noise_from_neighbours,
+    noise_from_spectrum,
+    risk_of_shrinking,
+    shrink_singular_values,
+)
 
 _CHUNK_BYTES = 4 * 2**20  # float64 working copy of a chunk of tracks
 _LARGEST = 1e35  # spread of the tracks; shapes of that size still fit into float32
@@ -102,12 +107,22 @@ def measure(points: np.ndarray) -> Measurements:
         mean = total / count
         gram -= count * np.outer(mean, mean)
         unit = float(np.sqrt(max(np.trace(gram), 0.0) / (2 * frames * count)))
-    if not 1 / _LARGEST <= unit <= _LARGEST:  # also where it is not a number
-        raise InputError(
-            f"tracks: points must spread about their mean by {1 / _LARGEST:g} to {_LARGEST:g} (root mean square), "
-            f"received {_spread(points):.3g}"
-        )
+    if not in_range(unit):
+        raise out_of_range(_spread(points))
     return Measurements(points, offset + mean.reshape(frames, 2), unit, gram / unit**2)
+
+
+def in_range(spread: float) -> bool:
+    """Whether squares of coordinates of that root mean square are floating-point numbers; false for NaN."""
+    return 1 / _LARGEST <= spread <= _LARGEST
+
+
+def out_of_range(spread: float) -> InputError:
+    """What is said of tracks that are not."""
+    return InputError(
+        f"tracks: points must spread about their mean by {1 / _LARGEST:g} to {_LARGEST:g} (root mean square), "
+        f"received {spread:.3g}"
+    )
 
 
 def spectrum(measurements: Measurements, members: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -151,6 +166,7 @@ class CompressedTracks:
 
     ``factors`` (F, 2, N); cell k owns columns ``offsets[k]:offsets[k+1]`` and, of the real points, those with
     ``labels == k``; ``sizes`` (K,) counts them. ``discarded`` is the share of ‖W‖² that was cut or shrunk away.
+    ``residual`` estimates the noise that shrinking has left, root mean square per coordinate (0 where nothing was).
     Without ``maps`` the virtual points are the real ones (:func:`uncompressed`).
     """
 
@@ -161,6 +177,7 @@ class CompressedTracks:
     maps: tuple[np.ndarray, ...]
     measurements: Measurements
     discarded: float
+    residual: float = 0.0
 
     def expand(self, shapes: np.ndarray, dtype: np.dtype) -> np.ndarray:
         """Shapes (F, 3, N) of the virtual points to shapes (F, P, 3) of the real ones, in the tracks' unit."""
@@ -201,9 +218,10 @@ def compress(
     sizes = np.bincount(labels)
     size = float(np.trace(measurements.gram))
     floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
-    factors, maps = [], []
+    factors, maps, risk = [], [], 0.0
     for indices in _members(labels, sizes):
         values, vectors = spectrum(measurements, indices)
+        risk += risk_of_shrinking(values, (len(vectors), len(indices)), noise)
         left, back = _factor(values, vectors, len(indices), noise, tolerance, floor)
         factors.append(left)
         maps.append(back)
@@ -218,6 +236,7 @@ def compress(
         tuple(maps),
         measurements,
         max(lost, 0.0),
+        float(np.sqrt(risk / (2 * measurements.frames * measurements.count))),
     )
 
 

@@ -25,10 +25,6 @@ class FileError(NrsfmError, ValueError):
     """A file cannot be read as what it claims to be, or an output cannot be written."""
 
 
-class MissingEntriesError(InputError):
-    """Tracks have entries that were not seen, and the method needs complete ones."""
-
-
 def suggest(name: str, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'x' or 'y'?"`` with the nearest known names, or an empty string."""
     near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)

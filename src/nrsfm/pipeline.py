@@ -1,104 +1,63 @@
 """The one path from tracks to a reconstruction.
 
-tracks → measure → cameras → cells → compress → method → expand → reconstruction. Each stage is timed here and named to
-the caller's progress function; nothing below this file times, draws or aligns anything.
+tracks → repair → affine reconstruction (:mod:`nrsfm.affine`) → perspective undone, where there is evidence of it, and
+reconstructed again → reconstruction of all points.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import logging
-import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from nrsfm.cameras import (
-    LEAST_TURN,
-    CameraEstimate,
-    CameraOptions,
-    camera_turn,
-    cameras_from_known,
-    choose_mirror,
-    estimate_cameras,
-    mirrored,
-)
-from nrsfm.clustering import kmeans
-from nrsfm.compression import (
-    CompressedTracks,
-    Measurements,
-    compress,
-    estimate_noise,
-    measure,
-    spectrum,
-    track_coordinates,
-    uncompressed,
-)
+from nrsfm.affine import PipelineOptions, Settings, Stages, reconstruct_affine
+from nrsfm.cameras import CameraOptions, cameras_from_known
 from nrsfm.errors import InputError
+from nrsfm.gauge import GaugeOptions
 from nrsfm.methods import get_method
-from nrsfm.methods.base import Method, Problem, Solution
-from nrsfm.numerics.noise import shrink_singular_values
+from nrsfm.methods.base import Method
 from nrsfm.numerics.threads import single_thread
-from nrsfm.options import option, split_options
+from nrsfm.options import split_options
+from nrsfm.perspective import PerspectiveOptions, with_perspective
 from nrsfm.progress import Report, TerminalProgress, silent
 from nrsfm.reconstruction import Reconstruction
+from nrsfm.repair import Repaired, RepairOptions, Resection, repair, resect, trusted_points
 from nrsfm.tracks import Tracks
+from nrsfm.uncertainty import UncertaintyOptions
 
 logger = logging.getLogger(__name__)
 
-_MIRROR_POINTS = 5_000  # at most about so many points tell which way the shape bulges
-_THIN = 1e-5  # points this much narrower than long lie on a line
-_COORDINATES = 10  # leading track coordinates in which cells and neighbours are found
+_PLAIN = "geometry-aware"  # bends least of perspective into the shapes
+_SECOND_OPINION = 1_000_000  # entries up to which it is asked as well, where the default method shows no perspective
+
+STAGE_OPTIONS: dict[str, type] = {
+    "run": PipelineOptions,
+    "repair": RepairOptions,
+    "cameras": CameraOptions,
+    "perspective": PerspectiveOptions,
+    "object frame": GaugeOptions,
+    "uncertainty": UncertaintyOptions,
+}
+"""The options that every method shares, one class per stage."""
 
 
 @dataclass(frozen=True)
-class PipelineOptions:
-    """What every method shares: compression, noise and the precision of the result."""
+class _Run:
+    """One checked request."""
 
-    tolerance: float = option(
-        1e-4,
-        "Directions that the compression may cut in each cell: at most this root mean square per coordinate, in "
-        "units of the tracks' own. The default is a hundredth of a pixel on an object 100 pixels in size; 0 is exact.",
-        minimum=0,
-        maximum=0.1,
-    )
-    denoise: bool | None = option(
-        None,
-        "Shrink the singular values of every cell optimally for the noise level while compressing. Default: on for "
-        "bmm, grassmann and geometry-aware; off for the other methods, which then are as published.",
-    )
-    noise_level: float | None = option(
-        None,
-        "Standard deviation of the tracks' noise, in their unit. Default: estimated from the tracks.",
-        minimum=0,
-    )
-    precision: str = option("float32", "Type of the returned shapes.", choices=("float32", "float64"))
-    ordered: bool = option(
-        True, "The frames follow one another in time. Off refuses methods that need it (see nrsfm methods)."
-    )
-
-
-class _Stages:
-    """Names, times and reports the stages of one run."""
-
-    def __init__(self, report: Report) -> None:
-        self.seconds: dict[str, float] = {}
-        self._report = report
-
-    @contextlib.contextmanager
-    def __call__(self, name: str) -> Iterator[Callable[[float], None]]:
-        self._report(name, None)
-        start = time.perf_counter()
-        yield lambda fraction: self._report(name, fraction)
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+    method: Method
+    known: np.ndarray | None
+    settings: Settings
+    repair: RepairOptions
+    perspective: PerspectiveOptions
 
 
 def reconstruct(
     tracks: Tracks | np.ndarray,
-    method: str = "geometry-aware",
+    method: str = "auto",
     rotations: np.ndarray | None = None,
     seed: int = 0,
     progress: bool | Report = False,
@@ -109,7 +68,8 @@ def reconstruct(
     Parameters
     ----------
     tracks
-        ``Tracks``, or an array of points (F, P, 2), at least 3 frames and 4 points, complete.
+        ``Tracks``, or an array of points (F, P, 2): at least 3 frames and 4 points, any pattern of missing entries
+        that ties the frames together.
     method
         One of ``nrsfm.method_names()``.
     rotations
@@ -119,40 +79,208 @@ def reconstruct(
     progress
         ``True`` draws a line on a terminal's stderr; a function is called as ``progress(stage, fraction)``.
     **options
-        Options of the pipeline (``PipelineOptions``), of the cameras (``CameraOptions``) and of the method
-        (``nrsfm methods``).
+        Options of the stages (``PipelineOptions``, ``RepairOptions``, ``CameraOptions``, ``PerspectiveOptions``,
+        ``GaugeOptions``, ``UncertaintyOptions``) and of the method (``nrsfm methods``).
 
     Returns
     -------
     Reconstruction
-        ``points[f] ≈ scales[f] · (rotations[f] @ shapes[f].T)[:2].T + translations[f]``, in the tracks' unit.
+        ``points[f] ≈ scales[f] · (rotations[f] @ shapes[f].T)[:2].T + translations[f]``, in the tracks' unit. Points
+        seen in too few frames have NaN for shapes.
 
     Raises
     ------
     InputError
         Tracks, rotations or options break a rule; the message names it and the value received.
-    MissingEntriesError
-        Some points were not seen in some frames.
     """
     tracks = tracks if isinstance(tracks, Tracks) else Tracks(tracks)
-    tracks.require_complete()
     tracks.require_reconstructible()
     solver = get_method(method)
-    pipeline, camera, own = split_options(
-        (PipelineOptions, CameraOptions, solver.Options), options, f"method '{method}'"
+    pipeline, repairing, camera, perspective, gauge, uncertainty, own = split_options(
+        (*STAGE_OPTIONS.values(), solver.Options), options, f"method '{method}'"
     )
     _require(solver, tracks, pipeline)
     camera = _camera_options(camera, solver, own, ordered=pipeline.ordered)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed must be a whole number, at least 0, received {seed!r}")
     known = None if rotations is None else cameras_from_known(rotations, tracks.n_frames)
+    if known is not None and perspective.intrinsics is None:
+        perspective = replace(perspective, perspective="off")  # given cameras are orthographic unless K says otherwise
+    settings = Settings(pipeline, camera, gauge, uncertainty, own, int(seed))
+    run = _Run(solver, known, settings, repairing, perspective)
     if progress is True:
         with TerminalProgress() as line:
-            return _run(tracks, solver, known, int(seed), line, pipeline, camera, own)
+            return _reconstruct(tracks, run, line)
     if not callable(progress) and progress is not False:
         raise InputError(f"progress must be true, false or a function of (stage, fraction), received {progress!r}")
-    report = progress if callable(progress) else silent
-    return _run(tracks, solver, known, int(seed), report, pipeline, camera, own)
+    return _reconstruct(tracks, run, progress if callable(progress) else silent)
+
+
+def _reconstruct(tracks: Tracks, run: _Run, report: Report) -> Reconstruction:
+    stages = Stages(report)
+    settings = run.settings
+    with stages("repair") as monitor:
+        repaired = repair(tracks, run.repair, np.random.default_rng([settings.seed, 2]), monitor)
+    if repaired.good is None or run.method.needs.every_point:
+        result, perspective = _seen_by_cameras(_columns(repaired.points, repaired.kept), tracks.visible, run, stages)
+    else:
+        result, perspective, repaired = _with_holes(tracks, repaired, run, stages)
+    warnings = [*repaired.warnings, *result.diagnostics["warnings"]]
+    evidence = perspective.get("mirror") or {}
+    mirror = dict(result.diagnostics["cameras"].get("mirror") or {})
+    if evidence.get("decided"):
+        mirror = {"rule": evidence["by"], "decided": True, "strength": evidence["strength"]}
+        warnings = [text for text in warnings if not text.startswith("which of the two mirror images")]
+        if settings.camera.mirror and run.known is None:
+            result = result.mirrored()
+    for text in warnings:
+        logger.warning(text)
+    diagnostics = result.diagnostics | {
+        "seconds": stages.seconds,
+        "repair": repaired.report,
+        "perspective": perspective,
+        "warnings": warnings,
+    }
+    if mirror:
+        diagnostics["mirror"] = mirror
+    recorded: dict[str, Any] = {"seed": settings.seed}
+    for options in (settings.pipeline, run.repair, settings.camera, run.perspective, settings.gauge):
+        recorded |= _recorded(options)
+    recorded |= _recorded(settings.uncertainty) | _recorded(settings.method) | result.options
+    result = replace(result, diagnostics=diagnostics, options=recorded)
+    return _of_all_points(result, repaired)
+
+
+def _seen_by_cameras(
+    points: np.ndarray, visible: np.ndarray | None, run: _Run, stages: Stages
+) -> tuple[Reconstruction, dict[str, Any]]:
+    """Complete points (F, P, 2), perspective undone where there is evidence of it; and the report of that."""
+    settings = run.settings
+
+    def solve(affine: np.ndarray) -> Reconstruction:
+        return reconstruct_affine(affine, run.method, run.known, settings, stages)
+
+    def plain() -> Reconstruction:
+        method = get_method(_PLAIN)
+        own = method.Options()
+        camera = _camera_options(settings.camera, method, own, ordered=settings.pipeline.ordered)
+        return reconstruct_affine(points, method, run.known, replace(settings, camera=camera, method=own), stages)
+
+    second = plain if run.method.name == "auto" and points.shape[0] * points.shape[1] <= _SECOND_OPINION else None
+    first = solve(points)
+    with stages("perspective"):
+        # The mean with the perspective model's shapes would come with its cameras: given ones stay as they are.
+        final = "average" if run.known is None else "solve"
+        return with_perspective(
+            points, solve, run.perspective, visible=visible, first=first, second=second, final=final
+        )
+
+
+def _with_holes(
+    tracks: Tracks, repaired: Repaired, run: _Run, stages: Stages
+) -> tuple[Reconstruction, dict[str, Any], Repaired]:
+    """Trusted points first; the others by resection from where they were seen, which also finds what was overlooked.
+
+    Of exact tracks, resection is the answer: the least error in a few completed tracks would spoil the rest. Noisy ones
+    are completed once more, by what resection predicts, and go through again together: many noisy points are worth
+    more than few. Resection is affine: where perspective is undone, completed tracks are taken as they are.
+    """
+    kept, good = repaired.kept, _given(repaired.good)
+    trusted = trusted_points(repaired, len(good))
+    points, overlooked = repaired.points, np.zeros_like(good)
+    for last in (False, True):
+        result, perspective = _seen_by_cameras(_columns(points, trusted), good[:, trusted], run, stages)
+        if perspective["undone"]:
+            if not np.array_equal(trusted, kept):
+                result, perspective = _seen_by_cameras(_columns(points, kept), good[:, kept], run, stages)
+            return result, perspective, repaired
+        if repaired.noisy and last:
+            break
+        with stages("resection"), single_thread():
+            found = resect(result, _columns(tracks.points, kept), good[:, kept], result.diagnostics["noise"])
+        overlooked[:, kept] = found.wrong
+        clean = trusted & ~overlooked.any(axis=0)
+        if repaired.noisy:
+            points, trusted = _predicted(points, result, found.shapes, overlooked | ~good, kept), kept
+        elif last or np.array_equal(clean, trusted) or clean.sum() < max(4, trusted.sum() // 2):
+            break
+        else:
+            trusted = clean
+    if not repaired.noisy:
+        result = _joined(result, found, trusted[kept])
+    number = int(np.count_nonzero(overlooked))
+    report = repaired.report | {"outliers": repaired.report["outliers"] + number, "overlooked_at_first": number}
+    confidence = np.where(overlooked, np.float32(0), _given(repaired.confidence))
+    return result, perspective, replace(repaired, confidence=confidence, report=report)
+
+
+def _predicted(
+    points: np.ndarray, result: Reconstruction, shapes: np.ndarray, wrong: np.ndarray, kept: np.ndarray
+) -> np.ndarray:
+    """Points (F, P, 2) with the wrong entries put where the shapes (F, n, 3) of the kept points are seen."""
+    out = np.array(points)
+    for f in np.flatnonzero(wrong.any(axis=1)):
+        seen = result.scales[f] * (shapes[f] @ result.rotations[f, :2].T) + result.translations[f]
+        row = out[f, kept]
+        out[f, kept] = np.where(wrong[f, kept, None], seen, row)
+    return out
+
+
+def _joined(result: Reconstruction, found: Resection, trusted: np.ndarray) -> Reconstruction:
+    """All points: the trusted ones as they are, the others by resection."""
+    shapes, deviation = found.shapes, None
+    shapes[:, trusted] = result.shapes
+    if result.depth_deviation is not None:
+        deviation = found.deviation
+        deviation[:, trusted] = result.depth_deviation
+    groups = result.groups if result.groups is None else _nearest(result.groups, result.shapes, shapes)
+    return replace(result, shapes=shapes, depth_deviation=deviation, groups=groups)
+
+
+def _given(array: np.ndarray | None) -> np.ndarray:
+    """An array that is there whenever tracks had holes."""
+    assert array is not None  # noqa: S101 - of our own making, not a user's
+    return array
+
+
+def _columns(points: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Some of the points; the array itself where these are all."""
+    return points if which.all() else np.ascontiguousarray(points[:, which])
+
+
+def _nearest(groups: np.ndarray, shapes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Group of the point that is nearest in the mean shape."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(shapes.mean(axis=0, dtype=np.float64))
+    return np.asarray(groups[tree.query(others.mean(axis=0, dtype=np.float64))[1]])
+
+
+def _of_all_points(result: Reconstruction, repaired: Repaired) -> Reconstruction:
+    """The reconstruction with a place for every point that came in: NaN where it was seen too rarely."""
+    confidence = repaired.confidence
+    if repaired.kept.all():
+        return result if confidence is None else replace(result, confidence=confidence)
+    frames, points = len(result.shapes), len(repaired.kept)
+
+    def spread(array: np.ndarray) -> np.ndarray:
+        out = np.full((frames, points, *array.shape[2:]), np.nan, dtype=array.dtype)
+        out[:, repaired.kept] = array
+        return out
+
+    groups = result.groups
+    if groups is not None:
+        groups = np.full(points, -1, dtype=groups.dtype)
+        groups[repaired.kept] = result.groups
+    if confidence is not None:
+        confidence = confidence * repaired.kept.astype(np.float32)
+    return replace(
+        result,
+        shapes=spread(result.shapes),
+        groups=groups,
+        confidence=confidence,
+        depth_deviation=None if result.depth_deviation is None else spread(result.depth_deviation),
+    )
 
 
 def _require(method: Method, tracks: Tracks, options: PipelineOptions) -> None:
@@ -169,80 +297,6 @@ def _require(method: Method, tracks: Tracks, options: PipelineOptions) -> None:
             f"ordered: method '{method.name}' needs frames that follow one another in time, received "
             f"ordered={options.ordered}"
         )
-
-
-def _run(
-    tracks: Tracks,
-    method: Method,
-    known: np.ndarray | None,
-    seed: int,
-    report: Report,
-    pipeline: PipelineOptions,
-    camera: CameraOptions,
-    own: Any,
-) -> Reconstruction:
-    stages = _Stages(report)
-    rng = np.random.default_rng(seed)
-    with stages("reading tracks"):
-        measured = measure(tracks.points)
-        with single_thread():
-            values, vectors = spectrum(measured)
-        coordinates = track_coordinates(measured, vectors[:, :_COORDINATES])
-        noise = _noise_level(measured, values, coordinates, pipeline, rng)
-    denoise = method.denoise if pipeline.denoise is None else pipeline.denoise
-    with stages("cameras") as monitor:
-        cameras = _cameras(measured, values, vectors, known, noise, camera, seed, monitor)
-    # The cells' eigenproblems are small: threads would cost more than they give.
-    with stages("compression"), single_thread():
-        if method.needs.every_point:
-            compressed = uncompressed(measured)
-        else:
-            labels = kmeans(coordinates, method.cells(own, measured.count, measured.frames), rng)
-            compressed = compress(measured, labels, noise=noise if denoise else 0.0, tolerance=pipeline.tolerance)
-        del coordinates  # as large as a tenth of short tracks, and not needed again
-    with stages(method.name) as monitor, single_thread():
-        problem = Problem(
-            compressed.factors / cameras.scales[:, None, None],
-            compressed.offsets,
-            compressed.sizes,
-            np.ascontiguousarray(cameras.rotations[:, :2]),
-            noise,
-            cameras_known=known is not None,
-        )
-        solution = method.solve(problem, own, rng, monitor)
-    with stages("expansion"):
-        shapes = compressed.expand(solution.shapes, np.dtype(pipeline.precision))
-    cameras = _moved_by_the_method(cameras, solution)
-    warnings = [*_on_lines(measured), *cameras.warnings, *solution.warnings]
-    rotations, mirror = cameras.rotations, None
-    if known is None:
-        with stages("mirror"):
-            rotations, mirror = _mirror(rotations, shapes, camera.mirror, warnings)
-    elif camera.mirror:
-        warnings.append("mirror is ignored: known cameras leave one solution")
-    for text in warnings:
-        logger.warning(text)
-    groups = None if solution.groups is None else solution.groups[compressed.labels]
-    return Reconstruction(
-        shapes=shapes,
-        rotations=rotations,
-        translations=measured.translations,
-        scales=cameras.scales,
-        groups=groups,
-        diagnostics={
-            "iterations": solution.iterations,
-            "stop_reason": solution.stop_reason,
-            "history": solution.history,
-            "seconds": stages.seconds,
-            "noise": noise * measured.unit,
-            "compression": _compression_report(compressed),
-            "cameras": {"known": True} if mirror is None else _camera_report(cameras, mirror),
-            "chosen": solution.chosen,
-            "warnings": warnings,
-        },
-        method=method.name,
-        options={"seed": seed, **_recorded(pipeline), **_recorded(camera), **_recorded(own)} | {"denoise": denoise},
-    )
 
 
 def _camera_options(options: CameraOptions, method: Method, own: Any, *, ordered: bool) -> CameraOptions:
@@ -262,17 +316,6 @@ def _camera_options(options: CameraOptions, method: Method, own: Any, *, ordered
     return replace(options, camera_method=name, camera_rank=rank)
 
 
-def _moved_by_the_method(cameras: CameraEstimate, solution: Solution) -> CameraEstimate:
-    """The cameras after a method that estimates cameras and shapes together."""
-    if solution.rotations is not None:
-        rows = solution.rotations
-        rotations = np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
-        cameras = replace(cameras, rotations=rotations, turn=camera_turn(rotations))
-    if solution.scales is not None:
-        cameras = replace(cameras, scales=cameras.scales * solution.scales)
-    return cameras
-
-
 def _recorded(options: Any) -> dict[str, Any]:
     """Options as plain values; an array is named by its shape and digest."""
     return {
@@ -280,103 +323,4 @@ def _recorded(options: Any) -> dict[str, Any]:
         if isinstance(value, np.ndarray)
         else value
         for name, value in ((field.name, getattr(options, field.name)) for field in fields(options))
-    }
-
-
-def _on_lines(measured: Measurements) -> list[str]:
-    """Warn of frames whose points lie on one line, or in one place: a coordinate that is constant, for example."""
-    gram = measured.gram.reshape(measured.frames, 2, measured.frames, 2)
-    blocks = np.einsum("fifj->fij", gram)
-    least, largest = np.linalg.eigvalsh(blocks).T
-    lines = np.flatnonzero(least <= _THIN**2 * np.maximum(largest, 1e-6 * measured.count))
-    if not len(lines):
-        return []
-    return [
-        f"in {len(lines)} of {measured.frames} frames (the first is frame {lines[0]}) all points lie on one line: "
-        "these frames do not determine their own depth and camera"
-    ]
-
-
-def _noise_level(
-    measured: Measurements,
-    values: np.ndarray,
-    coordinates: np.ndarray,
-    options: PipelineOptions,
-    rng: np.random.Generator,
-) -> float:
-    """Noise in units of the tracks' rms: as told, or estimated; 0 below the tolerance."""
-    if options.noise_level is not None:
-        level = options.noise_level / measured.unit
-    else:
-        level = estimate_noise(measured, values, coordinates, rng)
-    # Noise that the compression may cut anyway is none: exact tracks stay exactly compressed.
-    return level if level > options.tolerance else 0.0
-
-
-def _cameras(
-    measured: Measurements,
-    values: np.ndarray,
-    vectors: np.ndarray,
-    known: np.ndarray | None,
-    noise: float,
-    options: CameraOptions,
-    seed: int,
-    monitor: Callable[[float], None],
-) -> CameraEstimate:
-    """Cameras from the global factor of W, whose singular values are shrunk for the noise."""
-    if known is not None:
-        turn = camera_turn(known)
-        still = [f"the given cameras hardly turn: {turn:.1f} degrees in all; depth is poorly determined"]
-        return CameraEstimate(known, np.ones(measured.frames), rank=0, warnings=still if turn < LEAST_TURN else [])
-    # The published estimators take the leading directions as they are.
-    level = noise if options.camera_method in ("intersection", "rigid") else 0.0
-    shrunk = shrink_singular_values(values, (len(vectors), measured.count), level)
-    kept = (shrunk > 0) & (values > 1e-7 * values[0])
-    kept[:3] = True
-    factor = vectors[:, kept] * np.where(shrunk > 0, shrunk, values)[kept]
-    return estimate_cameras(
-        factor,
-        options,
-        seed=seed,
-        progress=lambda _, fraction: monitor(fraction or 0.0),
-    )
-
-
-def _compression_report(compressed: CompressedTracks) -> dict[str, Any]:
-    ranks = np.diff(compressed.offsets)
-    return {
-        "points": compressed.measurements.count,
-        "virtual_points": int(compressed.offsets[-1]),
-        "cells": len(ranks),
-        "ranks": ranks.tolist(),
-        "sizes": compressed.sizes.tolist(),
-        "discarded": compressed.discarded,
-    }
-
-
-def _mirror(
-    rotations: np.ndarray, shapes: np.ndarray, other: bool, warnings: list[str]
-) -> tuple[np.ndarray, dict[str, Any]]:
-    """Put rotations and shapes (in place) into the conventional one of the two mirror images, or the other one."""
-    report = choose_mirror(rotations, shapes[:, :: max(1, shapes.shape[1] // _MIRROR_POINTS)], mirror=other)
-    if not report["decided"]:
-        warnings.append(
-            "which of the two mirror images is shown is arbitrary: orthographic tracks cannot tell, and the shape "
-            "bulges neither way (option mirror gives the other one)"
-        )
-    if report["flip"]:
-        shapes[..., 2] *= -1
-        rotations = mirrored(rotations)
-    return rotations, report
-
-
-def _camera_report(cameras: CameraEstimate, mirror: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "known": False,
-        "method": cameras.method,
-        "rank": cameras.rank,
-        "path": cameras.path,
-        "turn": cameras.turn,
-        "candidates": cameras.candidates,
-        "mirror": mirror,
     }

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nrsfm.errors import InputError, MissingEntriesError
+from nrsfm.errors import InputError
 
 MINIMUM_FRAMES = 3
 MINIMUM_POINTS = 4
@@ -111,20 +111,6 @@ class Tracks:
                 f"{occluded.shape}"
             )
         return cls(points.transpose(1, 0, 2), ~occluded.T)
-
-    def require_complete(self) -> None:
-        """Raise ``MissingEntriesError``, saying how many entries were not seen and where, unless all were."""
-        if self.visible is None or self.complete:
-            return
-        hidden = ~self.visible
-        frame = int(np.argmax(hidden.any(axis=1)))
-        point = int(np.argmax(hidden[frame]))
-        raise MissingEntriesError(
-            f"tracks: every point must be seen in every frame, received {self.n_missing} missing of "
-            f"{hidden.size} entries, in {int(np.count_nonzero(hidden.any(axis=1)))} of {self.n_frames} "
-            f"frames and {int(np.count_nonzero(hidden.any(axis=0)))} of {self.n_points} points, the first "
-            f"at frame {frame}, point {point}"
-        )
 
     def require_reconstructible(self) -> None:
         """Raise ``InputError`` where no shape can come out: too few frames or points, or all points equal."""

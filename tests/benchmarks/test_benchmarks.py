@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from benchmarks import accuracy, page, real, runs, store, targets
+from benchmarks import accuracy, page, real, runs, scores, store, targets
 from benchmarks.tables import Check, Fact
 
 
@@ -23,8 +23,8 @@ def test_the_unreflected_error_tells_a_shape_from_its_mirror_image_whatever_its_
     moved = SimpleNamespace(shapes=0.3 * truth @ turn + 5.0)
     mirrored = SimpleNamespace(shapes=moved.shapes * [1, 1, -1])
     sequence = SimpleNamespace(shapes=truth)
-    assert runs._unreflected(moved, sequence) == pytest.approx(0, abs=1e-12)
-    assert runs._unreflected(mirrored, sequence) > 0.1
+    assert scores._unreflected(moved, sequence) == pytest.approx(0, abs=1e-12)
+    assert scores._unreflected(mirrored, sequence) > 0.1
 
 
 def test_every_case_has_a_name_of_its_own():

@@ -51,7 +51,8 @@ def _method(name, options):
     )
 
 
-METHODS = {"bmm": _method("bmm", PlainOptions), "geometry-aware": _method("geometry-aware", GroupedOptions)}
+METHODS = {"bmm": _method("bmm", PlainOptions), "auto": _method("auto", GroupedOptions)}
+STAGE_OPTIONS = {"cameras": CameraOptions, "run": PipelineOptions}
 
 
 class FakePipeline:
@@ -63,7 +64,7 @@ class FakePipeline:
 
     def __call__(self, tracks, method, rotations=None, seed=0, progress=False, **options):
         self.calls.append({"method": method, "rotations": rotations, "seed": seed, **options})
-        classes = (METHODS[method].Options, CameraOptions, PipelineOptions)
+        classes = (METHODS[method].Options, *STAGE_OPTIONS.values())
         built = split_options(classes, options, f"method '{method}'")
         progress("iterating", 0.5)
         self.before()
@@ -91,15 +92,9 @@ def pipeline(monkeypatch):
     methods = types.ModuleType("nrsfm.methods")
     methods.method_names = lambda: list(METHODS)
     methods.get_method = METHODS.__getitem__
-    cameras = types.ModuleType("nrsfm.cameras.options")
-    cameras.CameraOptions = CameraOptions
     module = types.ModuleType("nrsfm.pipeline")
-    module.PipelineOptions = PipelineOptions
-    for name, value in (
-        ("nrsfm.methods", methods),
-        ("nrsfm.cameras.options", cameras),
-        ("nrsfm.pipeline", module),
-    ):
+    module.STAGE_OPTIONS = STAGE_OPTIONS
+    for name, value in (("nrsfm.methods", methods), ("nrsfm.pipeline", module)):
         monkeypatch.setitem(sys.modules, name, value)
     monkeypatch.setattr(nrsfm, "reconstruct", fake, raising=False)
     return fake

@@ -25,7 +25,7 @@ def test_info_of_a_reconstruction(command, pipeline, tracks_file, tmp_path):
     assert command("reconstruct", tracks_file, "--out", tmp_path / "o", "--no-pictures")[0] == 0
     code, out, _ = command("info", tmp_path / "o" / "reconstruction.npz")
     assert code == 0
-    for text in ("reconstruction", "geometry-aware", "the camera does not turn"):
+    for text in ("reconstruction", "auto", "the camera does not turn"):
         assert text in out
 
 
@@ -71,7 +71,7 @@ def test_methods(command, pipeline):
     assert first.split() == ["bmm", "2012", "nothing", "complete", "tracks", "none"]
     _, out, _ = command("methods", "--json")
     found = json.loads(out)
-    assert [method["name"] for method in found] == ["bmm", "geometry-aware"]
+    assert [method["name"] for method in found] == ["bmm", "auto"]
     assert (found[0]["needs"], found[0]["camera_method"]) == ("complete tracks", "intersection")
 
 

@@ -37,7 +37,7 @@ def test_configuration_records_everything(command, pipeline, tracks_file, tmp_pa
     assert config["command"].startswith("nrsfm reconstruct ")
     assert "'" in config["command"]  # quoted, so that it can be pasted
     assert config["tracks"]["sha256"] == hashlib.sha256(tracks_file.read_bytes()).hexdigest()
-    assert (config["seed"], config["threads"], config["method"]) == (7, 1, "geometry-aware")
+    assert (config["seed"], config["threads"], config["method"]) == (7, 1, "auto")
     assert config["options"] == {
         "rank": None,
         "tolerance": 1e-3,
@@ -79,7 +79,7 @@ def test_arguments_may_come_in_any_order(command, pipeline, tracks_file, tmp_pat
     assert (code, err) == (0, "")
     assert pipeline.calls == [
         {
-            "method": "geometry-aware",
+            "method": "auto",
             "rotations": None,
             "seed": 0,
             "subspaces": 5,
@@ -112,9 +112,9 @@ def test_log_has_the_command_the_stages_and_the_warnings(command, pipeline, trac
     ("words", "text"),
     [
         (["--method", "bbm"], "unknown method 'bbm'; did you mean 'bmm'?"),
-        (["--method", "zzzz"], "unknown method 'zzzz'; known are bmm, geometry-aware"),
+        (["--method", "zzzz"], "unknown method 'zzzz'; known are bmm, auto"),
         (["--subspace", "3"], "unknown option '--subspace'; did you mean '--subspaces'"),
-        (["--method", "bmm", "--subspaces", "3"], "it belongs to geometry-aware and not to bmm"),
+        (["--method", "bmm", "--subspaces", "3"], "it belongs to auto and not to bmm"),
         (["--subspaces", "0"], "option 'subspaces' must be at least 1, received 0"),
         (["--tolerance", "0"], "option 'tolerance' must be greater than 0"),
         (
@@ -250,11 +250,9 @@ sys.path.insert(0, {tests!r})
 import conftest, nrsfm
 methods = types.ModuleType("nrsfm.methods")
 methods.method_names, methods.get_method = (lambda: list(conftest.METHODS)), conftest.METHODS.__getitem__
-options = types.ModuleType("nrsfm.cameras.options")
-options.CameraOptions = conftest.CameraOptions
 pipeline = types.ModuleType("nrsfm.pipeline")
-pipeline.PipelineOptions = conftest.PipelineOptions
-sys.modules.update({{"nrsfm.methods": methods, "nrsfm.cameras.options": options, "nrsfm.pipeline": pipeline}})
+pipeline.STAGE_OPTIONS = conftest.STAGE_OPTIONS
+sys.modules.update({{"nrsfm.methods": methods, "nrsfm.pipeline": pipeline}})
 def wait(*args, **options):
     print("running", flush=True)
     time.sleep(60)

@@ -2,7 +2,6 @@
 
 import pytest
 
-from nrsfm.cameras.options import CameraOptions
 from nrsfm.experiments import get_experiment
 from nrsfm.experiments.base import CAMERAS, Scope
 from nrsfm.experiments.measures import get_measure
@@ -10,7 +9,7 @@ from nrsfm.experiments.paths import path_names
 from nrsfm.experiments.sequences import available, sequence_names
 from nrsfm.methods import get_method
 from nrsfm.options import split_options
-from nrsfm.pipeline import PipelineOptions
+from nrsfm.pipeline import STAGE_OPTIONS
 
 NAMES = (
     "singular-values",
@@ -45,7 +44,7 @@ def test_cells_can_be_run(name, kind):
         for measure in cell.measures:
             get_measure(measure)
     for method, options in {(cell.method, cell.options) for cell in cells}:
-        split_options((PipelineOptions, CameraOptions, get_method(method).Options), dict(options), method)
+        split_options((*STAGE_OPTIONS.values(), get_method(method).Options), dict(options), method)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -79,7 +79,7 @@ def test_wrong_tracks_hardly_pull(sequence):
     rng = np.random.default_rng(0)
     wrong = rng.random((30, 80)) < 0.05
     tracks = tracks + wrong[..., None] * rng.standard_normal((30, 80, 2)) * 3 * np.abs(tracks).mean()
-    options = {"spatial_weight": 0.0, "noise_level": 0.0, "temporal_weight": 100.0}
+    options = {"spatial_weight": 0.0, "noise_level": 0.0, "temporal_weight": 100.0, "outliers": False}
     errors = [
         shape_error(reconstruct(tracks, "ds", data.rotations, huber=huber, **options), rigid, "none")
         for huber in (0.02, 1e3)

@@ -80,8 +80,7 @@ def test_a_low_rank_sequence_is_found_without_weights(sequence):
 def test_cameras_follow_the_shapes(sequence):
     """A rigid factorisation is a little wrong where the shape bends; given cameras stay as they are."""
     data = sequence(frames=40, points=80, rank=2)
-    before = reconstruct(data.tracks, "dv", joint=False)
-    after = reconstruct(data.tracks, "dv", joint=True)
+    before, after = (reconstruct(data.tracks, "dv", joint=joint, gauge="method") for joint in (False, True))
     assert rotation_error(after, data.rotations) < rotation_error(before, data.rotations)
     assert camera_frame_error(after, data.shapes, data.rotations) < camera_frame_error(
         before, data.shapes, data.rotations

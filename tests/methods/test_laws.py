@@ -41,7 +41,7 @@ def plain(data):
 
 
 def test_names():
-    wanted = ["bmm", "grassmann", "geometry-aware", "pta", "csf1", "csf2", "ksta", "mp"]
+    wanted = ["auto", "bmm", "grassmann", "geometry-aware", "pta", "csf1", "csf2", "ksta", "mp"]
     wanted += ["dv", "ds", "smsr", "rbmm", "organic", "em-pnd"]
     assert [name for name in wanted if name in METHODS] == METHODS
 

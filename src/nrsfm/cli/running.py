@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from nrsfm.reconstruction import Reconstruction
 
-DEFAULT_METHOD = "geometry-aware"
+DEFAULT_METHOD = "auto"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,15 +110,11 @@ def _chosen_method(words: Sequence[str]) -> str:
 
 
 def _option_classes(method: str) -> dict[str, type]:
-    from nrsfm.cameras.options import CameraOptions
     from nrsfm.methods import get_method
-    from nrsfm.pipeline import PipelineOptions
+    from nrsfm.pipeline import STAGE_OPTIONS
 
-    return {
-        f"options of the method {method}": get_method(method).Options,
-        "options of the cameras": CameraOptions,
-        "options of the run": PipelineOptions,
-    }
+    stages = {f"options of the {name}": cls for name, cls in STAGE_OPTIONS.items()}
+    return {f"options of the method {method}": get_method(method).Options, **stages}
 
 
 def _other_methods(flag: str, method: str) -> str | None:

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 CAMERAS = ("own", "intersection", "known")
 """The estimator that the method was published with; the intersection method, for every method; the true cameras."""
 
+NOT_COMPARED = frozenset({"auto"})
+"""Methods that are registered but are no part of the published comparison."""
+
 Record = dict[str, Any]
 """What is kept of a cell: plain values by name of the measure, or ``{"error": text}`` for a cell that failed."""
 
@@ -90,9 +93,14 @@ class Scope:
         return [name for name in found if name is not None]
 
     def using(self, names: Collection[str] | None = None) -> list[str]:
-        """Those of the methods (default: all) that are registered and asked for, in the registry's order."""
+        """Those of the methods (default: the comparison's) that are registered and asked for, in the registry's order.
+
+        ``auto`` is none of the comparison's: it takes part where it is asked for by name.
+        """
         from nrsfm.methods import method_names
 
+        if names is None and self.methods is None:
+            return [name for name in method_names() if name not in NOT_COMPARED]
         return [
             name
             for name in method_names()

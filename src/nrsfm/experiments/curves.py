@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 COLOURS = (
     *("#2f6ea8", "#c8553d", "#3d8b6e", "#8a5a9e", "#b07d1e", "#4a5568", "#b8487f", "#3a9aa8", "#7b8f2f", "#8c5a3c"),
-    *("#6f7fd6", "#5f9f3f", "#a06fc0", "#d0809a"),
+    *("#6f7fd6", "#5f9f3f", "#a06fc0", "#d0809a", "#1f2328"),
 )
-_ORDER = "geometry-aware grassmann bmm pta mp ds dv smsr csf1 em-pnd csf2 ksta rbmm organic"
+_ORDER = "geometry-aware grassmann bmm pta mp ds dv smsr csf1 em-pnd csf2 ksta rbmm organic auto"
 _METHODS = {name: i for i, name in enumerate(_ORDER.split())}
 
 _LEFT, _RIGHT, _FOOT = 0.72, 0.3, 0.58

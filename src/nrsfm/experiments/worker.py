@@ -30,6 +30,10 @@ from nrsfm.experiments.measures import Measured, get_measure
 if TYPE_CHECKING:
     from nrsfm.datasets.sequence import Sequence
 
+AS_PUBLISHED: dict[str, Any] = {"outliers": False, "perspective": "off", "gauge": "method", "deviation": False}
+"""Options of every cell that does not say otherwise: the tracks as they are, an affine camera and the method's own
+object frame, as in the published numbers; no seconds for what these do not have."""
+
 _LONGEST = 300  # characters of an error's text
 
 
@@ -83,7 +87,8 @@ def _measured(cell: Cell, sequence: Sequence, folder: Path, stem: str, cameras: 
     before = _held_bytes()
     resettable = _reset_peak()
     start = time.perf_counter()
-    result = reconstruct(sequence.tracks, cell.method, rotations, **_mesh(cell, sequence), **dict(cell.options))
+    options = AS_PUBLISHED | _mesh(cell, sequence) | dict(cell.options)
+    result = reconstruct(sequence.tracks, cell.method, rotations, **options)
     seconds = time.perf_counter() - start
     peak = _peak_bytes() - before if resettable and before is not None else None
     measured = Measured(result, sequence, cell, seconds, peak, camera_seconds, folder, stem)
@@ -106,7 +111,7 @@ def estimate_cameras(data: Data, sequence: Sequence, path: Path) -> dict[str, An
 
     cell = cameras_cell(data)
     try:
-        result = reconstruct(sequence.tracks, cell.method, **dict(cell.options))
+        result = reconstruct(sequence.tracks, cell.method, **(AS_PUBLISHED | dict(cell.options)))
     except Exception as error:  # noqa: BLE001 (told to every cell that needs these cameras)
         return {"error": f"cameras: {in_one_line(error)}"}
     seconds = result.diagnostics["seconds"]["cameras"]

@@ -8,6 +8,7 @@ from nrsfm.errors import OptionError, suggest
 from nrsfm.methods.base import Method
 
 _METHODS = {
+    "auto": ("nrsfm.methods.auto", "Auto"),
     "bmm": ("nrsfm.methods.bmm", "Bmm"),
     "grassmann": ("nrsfm.methods.grassmann", "Grassmann"),
     "geometry-aware": ("nrsfm.methods.geometry_aware", "GeometryAware"),

@@ -22,21 +22,18 @@ class Needs:
 
     ``frame_order``: frames follow one another in time. ``every_point``: works on the real points, because its terms
     are not preserved by the compression. ``neighbours``: also knows which points are neighbours (implies
-    ``every_point``). ``complete``: every point seen in every frame. ``unscaled``: the size of each frame is left to
-    the method, unless scales are asked for.
+    ``every_point``). ``unscaled``: the size of each frame is left to the method, unless scales are asked for.
     """
 
     frame_order: bool = False
     every_point: bool = False
     neighbours: bool = False
-    complete: bool = True
     unscaled: bool = False
     least_frames: int = 3
     least_points: int = 4
 
     def __str__(self) -> str:
-        words = ["complete tracks"] if self.complete else []
-        words += ["frames in order"] if self.frame_order else []
+        words = ["frames in order"] if self.frame_order else []
         words += ["neighbours (mesh, grid or found)"] if self.neighbours else []
         if self.least_frames > 3:
             words.append(f"{self.least_frames} frames")
@@ -50,8 +47,9 @@ class Problem:
     ``tracks`` (F, 2, N): virtual tracks, cells side by side. ``offsets`` (K+1,): cell k owns columns
     ``offsets[k]:offsets[k+1]``. ``sizes`` (K,): real points of each cell. ``rotations`` (F, 2, 3): the upper rows of
     the cameras. ``noise``: standard deviation of a real coordinate. ``cameras_known``: the cameras were given; a
-    method that estimates cameras and shapes together then leaves them as they are. A method that needs every point
-    gets the real tracks, in the order of the input, in place of virtual ones.
+    method that estimates cameras and shapes together then leaves them as they are. ``residual``: estimate of the
+    noise that is left in the tracks after the compression has shrunk it, root mean square per real coordinate. A
+    method that needs every point gets the real tracks, in the order of the input, in place of virtual ones.
     """
 
     tracks: np.ndarray
@@ -60,6 +58,7 @@ class Problem:
     rotations: np.ndarray
     noise: float
     cameras_known: bool = True
+    residual: float = 0.0
 
     @property
     def points(self) -> int:

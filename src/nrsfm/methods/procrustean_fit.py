@@ -22,9 +22,10 @@ _MEAN_ROUNDS = 3  # Procrustes rounds per iteration; the mean moves little betwe
 class Schedule:
     """How σ² falls and when to stop. Variances are shares of the mean squared size of a shape.
 
-    ``factors`` columns in B; ``first_noise``, ``last_noise``, and ``cooling``, the least factor by which σ² falls in an
-    iteration; ``first_spread`` is added to the first covariance, isotropic. Stops when σ² has settled and the shapes
-    move by less than ``least_change`` of their size, or after ``max_iterations``.
+    At most ``factors`` columns in B, none for variances below ``negligible`` times σ²; ``first_noise``,
+    ``last_noise``, and ``cooling``, the least factor by which σ² falls in an iteration; ``first_spread`` is added to
+    the first covariance, isotropic. Stops when σ² has settled and the shapes move by less than ``least_change`` of
+    their size, or after ``max_iterations``.
     """
 
     factors: int
@@ -34,6 +35,7 @@ class Schedule:
     cooling: float = 0.9
     least_change: float = 2e-4
     max_iterations: int = 200
+    negligible: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ def fit(tracks: np.ndarray, cameras: np.ndarray, start: np.ndarray, schedule: Sc
     first = flat @ flat.T / frames
     first += schedule.first_spread * onto_tangent_space(mean, np.eye(3 * count))
     factors = min(schedule.factors, 3 * count)
-    model = ProcrusteanNormal(mean, *leading_covariance(first, factors), schedule.first_noise)
+    covariance = leading_covariance(first, factors, schedule.negligible * schedule.first_noise)
+    model = ProcrusteanNormal(mean, *covariance, schedule.first_noise)
 
     history: dict[str, list[float]] = {"energy": [], "noise": [], "change": []}
     damping = _Damping(frames)
@@ -86,7 +89,7 @@ def fit(tracks: np.ndarray, cameras: np.ndarray, start: np.ndarray, schedule: Sc
         if settled and change < schedule.least_change:
             reason, used = "shapes settled", iteration + 1
             break
-        basis, spread = leading_covariance(found.second_moment, factors)
+        basis, spread = leading_covariance(found.second_moment, factors, schedule.negligible * noise)
         mean, align, sizes = procrustes_mean(aligned, model.mean, iterations=_MEAN_ROUNDS)
         model = ProcrusteanNormal(mean, onto_tangent_space(mean, basis), spread, noise)
         monitor(_progress(noise, change, schedule))

@@ -48,16 +48,26 @@ class Posterior:
     likelihood: float
 
 
-def leading_covariance(second_moment: np.ndarray, factors: int) -> tuple[np.ndarray, float]:
-    """B (3N, q) and κ of the C = BBᵀ + κI that is closest in likelihood to the second moment; q ≤ ``factors``."""
+def leading_covariance(second_moment: np.ndarray, factors: int, negligible: float = 0.0) -> tuple[np.ndarray, float]:
+    """B (3N, q) and κ of the C = BBᵀ + κI that is closest in likelihood to the second moment; q ≤ ``factors``.
+
+    Directions of variance below ``negligible`` get no column of their own: fewer columns, faster, the same to κ.
+    """
     from scipy.linalg import eigh
 
     size = len(second_moment)
     free = size - 4
     count = max(1, min(factors, free))
     wanted = (size - count, size - 1) if size > _PARTIAL else None
-    values, vectors = eigh(second_moment, subset_by_index=wanted, check_finite=False)
+    try:
+        values, vectors = eigh(second_moment, subset_by_index=wanted, check_finite=False)
+    except np.linalg.LinAlgError:  # the solver for a few pairs can fail where eigenvalues span many orders
+        values, vectors = np.linalg.eigh(second_moment)
+        values, vectors = values[size - count :], vectors[:, size - count :]
     values, vectors = np.maximum(values[::-1][:count], 0.0), vectors[:, ::-1][:, :count]
+    if negligible > 0:
+        count = max(1, int(np.count_nonzero(values > negligible)))
+        values, vectors = values[:count], vectors[:, :count]
     rest = float(np.trace(second_moment)) - float(values.sum())
     spread = max(rest, 0.0) / (free - count) if free > count else 0.0
     spread = min(spread, float(values[-1]))

@@ -39,6 +39,24 @@ def shrink_singular_values(values: np.ndarray, shape: tuple[int, int], noise: fl
     return np.where(above, np.sqrt(inside) / scaled * unit, 0.0)
 
 
+def risk_of_shrinking(values: np.ndarray, shape: tuple[int, int], noise: float) -> float:
+    """Estimated squared Frobenius error that :func:`shrink_singular_values` leaves, of what stands above the noise.
+
+    A true singular value x is seen as y with y² = (x² + 1)(x² + β)/x² (unit σ√n), and shrunk to η; the two singular
+    vectors are turned so that the error is x² − η². What lies below the noise edge is not counted. Same source.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    if noise <= 0:
+        return 0.0
+    small, large = min(shape), max(shape)
+    ratio, unit = small / large, noise * np.sqrt(large)
+    scaled = values[values > unit * (1.0 + np.sqrt(ratio))] / unit
+    middle = scaled**2 - ratio - 1.0
+    true = (middle + np.sqrt(np.maximum(middle**2 - 4.0 * ratio, 0.0))) / 2.0
+    kept = (shrink_singular_values(scaled * unit, shape, noise) / unit) ** 2
+    return float(np.sum(true - kept)) * unit**2
+
+
 _TAIL = 4  # the noise is read off the lowest quarter of the spectrum
 _LEAST_SPECTRUM = 8  # with fewer singular values than this the signal may fill them all
 
