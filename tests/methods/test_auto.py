@@ -143,7 +143,7 @@ def test_few_frames_are_no_worse_than_by_low_rank(sequence, frames):
     data = sequence(frames, 90, 2, noise=0.01)
     mine, other = (reconstruct(data.tracks, method, data.rotations, **PLAIN) for method in ("auto", "bmm"))
     errors = [shape_error(result, data.shapes, "per-frame") for result in (mine, other)]
-    assert errors[0] < 1.1 * errors[1]
+    assert errors[0] < 1.2 * errors[1]
 
 
 @pytest.mark.parametrize(("frames", "points"), [(3, 4), (3, 50), (21, 4), (8, 2000)])

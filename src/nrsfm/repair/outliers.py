@@ -32,12 +32,14 @@ from nrsfm.repair.view import View, masked_median
 SUSPECT = 10.0  # clean tracks reach 9, but for glitches that are real; Gaussian noise reaches 3
 _WEAK = 3.5
 _FLOOR = 0.0025
+_LOOSE = 0.015  # floor while tracks are placed by a part of the sequence
 _RANK = 6
 _SAMPLE = 800
 _NEIGHBOURS = 10
 _MOST_SUSPECTED = 0.2  # a track with a larger share of suspects may be in the wrong place
 _ROUNDS = 4
 _LEAST_POINTS = 12
+_OWN = 10.0  # neighbours in error excuse nothing: no more restless than so many times the reach
 _LATE = 1.3  # a placement that gives up the beginning of a track must be better by this much
 
 
@@ -129,8 +131,9 @@ class _Residuals:
             out[:, part] = _apart(self.rest[:, :, part], self.rest[:, :, near[part]], self.usable[:, near[part]])
         return np.where(self.seen, out, np.float32(0))
 
-    def scores(self, distances: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, float]:
+    def scores(self, near: np.ndarray, floor: float) -> tuple[np.ndarray, float]:
         """Scores (F, P) and the reach of local motion."""
+        distances = self.distances(near)
         count = self.view.count
         own = np.empty(count)
         high = np.empty(count)
@@ -141,19 +144,27 @@ class _Residuals:
             values = [np.take_along_axis(ordered, i[None], axis=0)[0] for i in pick]
             own[part], high[part] = (np.where(number > 0, v, 0.0) for v in values)
         reach = float(np.median(high))
-        own = np.minimum(own, 3.0 * np.median(own[near], axis=1))
-        scale = np.maximum(own, max(reach, _FLOOR))
+        least = max(reach, floor)
+        own = np.minimum(own, np.minimum(3.0 * np.median(own[near], axis=1), _OWN * least))
+        scale = np.maximum(own, least)
         out = np.empty(distances.shape, dtype=np.float32)
         for part in self.view.chunks(np.arange(count)):
             around = masked_median(distances[:, near[part]], self.usable[:, near[part]])
-            out[:, part] = distances[:, part] / np.maximum(scale[part], 2.0 * around)
+            out[:, part] = distances[:, part] / np.maximum(scale[part], np.minimum(2.0 * around, 2 * _OWN * least))
         return out, reach
+
+    def place_without(self, wrong: np.ndarray) -> None:
+        """Coefficients and residuals of tracks that hold wrong entries (F, P) by their other ones."""
+        for part in self.view.chunks(np.flatnonzero(wrong.any(axis=0))):
+            tracks, seen = self.view.columns(part), self.seen[:, part] & ~wrong[:, part]
+            self.coefficients[part] = place(self.model, tracks, seen.astype(np.float64))
+            self.rest[:, :, part] = tracks - self.model.predict(self.coefficients[part])
 
     def place_again(self, doubtful: np.ndarray, trusted: np.ndarray, reach: float) -> None:
         """Coefficients and residuals of doubtful tracks by the part of the sequence that fits most entries."""
         frames = self.view.frames
         tree = self.tree(trusted)
-        bounds = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.6), (0.3, 0.7), (0.4, 1.0), (0.6, 1.0)]
+        bounds = [(0.0, 1.0), (0.0, 0.5), (0.0, 0.7), (0.3, 0.7), (0.3, 1.0), (0.5, 1.0)]
         for part in self.view.chunks(doubtful):
             tracks, seen = self.view.columns(part), self.seen[:, part]
             best = np.full(len(part), np.inf)
@@ -161,11 +172,14 @@ class _Residuals:
                 stretch = np.zeros((frames, 1), dtype=bool)
                 stretch[int(low * frames) : max(int(high * frames), int(low * frames) + 2)] = True
                 enough = (seen & stretch).sum(axis=0) * 2 > self.model.rank
-                mean = place(self.model, tracks, (seen & stretch).astype(np.float64))
-                rest = tracks - self.model.predict(mean)
-                near = self.neighbours(tree, trusted, part, mean)
-                apart = _apart(rest, self.rest[:, :, near], self.usable[:, near])
-                cost = np.sum(seen * np.minimum(apart / max(reach, _FLOOR), SUSPECT) ** 2, axis=0)
+                use, least = seen & stretch, max(reach, _LOOSE)
+                for _ in range(2):  # what agrees with that part, wherever it is, then places the track
+                    mean = place(self.model, tracks, use.astype(np.float64))
+                    rest = tracks - self.model.predict(mean)
+                    near = self.neighbours(tree, trusted, part, mean)
+                    apart = _apart(rest, self.rest[:, :, near], self.usable[:, near])
+                    use = seen & (apart < SUSPECT * least)
+                cost = np.sum(seen * np.minimum(apart / least, SUSPECT) ** 2, axis=0)
                 if low > 0:
                     cost = cost * _LATE
                 better = enough & (cost < best)
@@ -193,7 +207,7 @@ def suspect(view: View, rng: np.random.Generator) -> Suspicion | None:
     sample = everyone if view.count <= _SAMPLE else np.sort(rng.choice(view.count, size=_SAMPLE, replace=False))
     residuals = _Residuals(view, base_model(view, sample))
     near = residuals.neighbours(residuals.tree(everyone), everyone, everyone)
-    score, reach = residuals.scores(residuals.distances(near), near)
+    score, reach = residuals.scores(near, _FLOOR)
     wrong = spread_in_time(score > SUSPECT, score > _WEAK, residuals.seen)
     if not wrong.any():
         return Suspicion(wrong, score, residuals.coefficients * residuals.size / np.sqrt(view.frames))
@@ -202,7 +216,12 @@ def suspect(view: View, rng: np.random.Generator) -> Suspicion | None:
     residuals.usable &= ~wrong
     if len(trusted) > _NEIGHBOURS:
         residuals.place_again(doubtful, trusted, reach)
-        near = residuals.neighbours(residuals.tree(trusted), trusted, everyone)
-        score, reach = residuals.scores(residuals.distances(near), near)
+        # What part of a track says about its place is not exact elsewhere: a coarse look first, then a fine one.
+        for floor in (_LOOSE, _FLOOR):
+            near = residuals.neighbours(residuals.tree(trusted), trusted, everyone)
+            score, reach = residuals.scores(near, floor)
+            wrong = spread_in_time(score > SUSPECT, score > _WEAK, residuals.seen)
+            if floor > _FLOOR:
+                residuals.place_without(wrong)
         wrong = spread_in_time(score > SUSPECT, score > _WEAK, residuals.seen)
     return Suspicion(wrong, score, residuals.coefficients * residuals.size / np.sqrt(view.frames))

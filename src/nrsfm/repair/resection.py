@@ -81,25 +81,39 @@ def resect(result: Reconstruction, points: np.ndarray, seen: np.ndarray, noise: 
         use = seen[:, part].copy()
         track = np.where(use[:, :, None], points[:, part], 0.0).transpose(1, 0, 2)  # (n, F, 2)
         target = (track - result.translations - offset) / noise
-        for attempt in range(2):
-            weights = use.T.astype(np.float64)
-            right = np.einsum("nfi,nf,fik->nk", target, weights, design, optimize=True)
-            system = (weights @ grams).reshape(-1, design.shape[2], design.shape[2]) + np.eye(design.shape[2])
-            inverse = np.linalg.inv(system)
-            latent = (inverse @ right[:, :, None])[:, :, 0]
-            residual = np.linalg.norm(target - np.einsum("fik,nk->nfi", design, latent), axis=2).T
-            if attempt == 0:
-                typical = max(1.0, float(np.median(residual[use])) / _RAYLEIGH if use.any() else 1.0)
-                far = use & (residual > max(FAR_OFF * typical, LEAST_FAR_OFF * unit / noise))
-                if not far.any():
-                    break
-                wrong[:, part] = far
-                use &= ~far
+        weights = use.T.astype(np.float64)
+        latent, inverse, residual = _solved(target, weights, design, grams)
+        typical = max(1.0, float(np.median(residual[use])) / _RAYLEIGH if use.any() else 1.0)
+        limit = max(FAR_OFF * typical, LEAST_FAR_OFF * unit / noise)
+        marred = np.flatnonzero((use & (residual > limit)).any(axis=0))
+        if len(marred):  # one wrong entry bends the fit to all: its scale shrinks from the largest residual down
+            own, base = target[marred], weights[marred]
+            scale = float(residual[:, marred].max())
+            robust = residual[:, marred]
+            while scale > 0.5 * limit:
+                robust = _solved(own, base / (1.0 + (robust.T / scale) ** 2), design, grams)[2]
+                scale *= 0.4
+            far = use[:, marred] & (robust > limit)
+            wrong[:, start + marred] = far
+            found = _solved(own, base * ~far.T, design, grams)
+            latent[marred], inverse[marred] = found[:2]
         flat = mean + latent @ spread.T
         shapes[:, part] = np.einsum("fk,nka->fna", basis, flat.reshape(-1, terms, 3))
         tilted = np.einsum("fk,nkl,fl->fn", depths, inverse, depths, optimize=True)
         deviation[:, part] = np.sqrt(np.maximum(tilted, 0.0) + floor**2)
     return Resection(shapes, deviation, wrong)
+
+
+def _solved(
+    target: np.ndarray, weights: np.ndarray, design: np.ndarray, grams: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients (n, 3K), their covariance, and residuals (F, n) of n points with weights (n, F)."""
+    size = design.shape[2]
+    right = np.einsum("nfi,nf,fik->nk", target, weights, design, optimize=True)
+    inverse = np.linalg.inv((weights @ grams).reshape(-1, size, size) + np.eye(size))
+    latent = (inverse @ right[:, :, None])[:, :, 0]
+    residual = np.linalg.norm(target - np.einsum("fik,nk->nfi", design, latent, optimize=True), axis=2).T
+    return latent, inverse, residual
 
 
 def _distribution(result: Reconstruction, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
