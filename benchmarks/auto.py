@@ -121,7 +121,7 @@ def render(values: dict[str, Any]) -> list[str]:
     last = targets.SEEDS[-1]
     tuned = ", ".join(targets.TUNED) or "none"
     lines = [
-        f"Cameras estimated, no option set. Sequences marked 'tuned' ({tuned}) are those that the method was tuned on; "
+        f"Cameras estimated, no option set. Sequences marked 'tuned' ({tuned}) were looked at while it was made; "
         "all others are held out.",
         "",
         'e3D with each frame aligned by an orthogonal matrix of its own (`align="per-frame"`), all points. With noise '

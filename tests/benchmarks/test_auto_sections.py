@@ -24,6 +24,11 @@ from nrsfm import Tracks, datasets
 from nrsfm.datasets import Sequence
 
 
+@pytest.fixture(autouse=True)
+def _tuned_on_faces(monkeypatch):
+    monkeypatch.setattr(targets, "TUNED", ("face-seq1", "face-seq2", "face-seq3", "face-seq4"))
+
+
 @pytest.fixture
 def sheet(monkeypatch, tmp_path):
     """A small moving sheet under every name."""
