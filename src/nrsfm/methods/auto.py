@@ -55,6 +55,9 @@ FAR_GAIN = 0.03
 LARGEST_SCATTER = 0.5
 """Deviation of the low-rank shapes from their aligned mean, in sizes of the mean, above which nothing is followed."""
 
+LARGEST_MOVE = 12.0
+"""Degrees by which trajectories of few frames may move a camera; where they move one farther they are not believed."""
+
 FACTORS, COOLING, NEGLIGIBLE = 60, 0.8, 0.1
 """Columns of B, fall of σ² per iteration, and the variance, in units of σ², below which a direction gets no column."""
 
@@ -104,13 +107,16 @@ class Auto:
         if options.trajectories and applies(problem) is None:
             along, rows, found = refine(problem, first.shapes @ back, rng)
             monitor(0.4)
-            if few or not options.follow:
+            if few and float(found["turned"]) > LARGEST_MOVE:
+                along = None
+            elif few or not options.follow:
                 moved = None if problem.cameras_known else rows
                 chosen = {"start": "trajectories", **found}
                 history = {"energy": [float(found["cost"])]}
                 return Solution(along, None, found["steps"], "converged", history, chosen, rotations=moved)
-            cameras = whole_rotations(problem.rotations)
-            along = np.swapaxes(cameras, 1, 2) @ (whole_rotations(rows) @ along) @ back.T
+            if along is not None:
+                cameras = whole_rotations(problem.rotations)
+                along = np.swapaxes(cameras, 1, 2) @ (whole_rotations(rows) @ along) @ back.T
         scattered = scatter(first.shapes) > LARGEST_SCATTER  # about no mean: no Gaussian freed from rigid motion
         if not options.follow or few or scattered:
             first.shapes = first.shapes @ back
