@@ -35,6 +35,7 @@ from nrsfm.compression import (
     uncompressed,
 )
 from nrsfm.gauge import GaugeOptions, fix_gauge
+from nrsfm.manifolds.rotations import whole_rotations
 from nrsfm.methods.base import Method, Problem, Solution
 from nrsfm.numerics.noise import shrink_singular_values
 from nrsfm.numerics.threads import single_thread
@@ -200,8 +201,7 @@ def reconstruct_affine(
 def _moved_by_the_method(cameras: CameraEstimate, solution: Solution) -> CameraEstimate:
     """The cameras after a method that estimates cameras and shapes together."""
     if solution.rotations is not None:
-        rows = solution.rotations
-        rotations = np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
+        rotations = whole_rotations(solution.rotations)
         cameras = replace(cameras, rotations=rotations, turn=camera_turn(rotations))
     if solution.scales is not None:
         cameras = replace(cameras, scales=cameras.scales * solution.scales)

@@ -186,7 +186,7 @@ class CompressedTracks:
             return np.ascontiguousarray(shapes.transpose(0, 2, 1) * unit, dtype=dtype)
         out = np.empty((frames, self.measurements.count, 3), dtype=dtype)
         flat = shapes.reshape(3 * frames, -1) * unit
-        for k, members in enumerate(_members(self.labels, self.sizes)):
+        for k, members in enumerate(members_of_cells(self.labels, self.sizes)):
             left = flat[:, self.offsets[k] : self.offsets[k + 1]]
             for part in _chunks(frames, len(members)):
                 block = left @ (self.maps[k] @ self.measurements.columns(members[part]))
@@ -194,7 +194,7 @@ class CompressedTracks:
         return out
 
 
-def _members(labels: np.ndarray, sizes: np.ndarray) -> list[np.ndarray]:
+def members_of_cells(labels: np.ndarray, sizes: np.ndarray) -> list[np.ndarray]:
     """Indices of the points of each cell."""
     return np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
 
@@ -219,7 +219,7 @@ def compress(
     size = float(np.trace(measurements.gram))
     floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
     factors, maps, risk = [], [], 0.0
-    for indices in _members(labels, sizes):
+    for indices in members_of_cells(labels, sizes):
         values, vectors = spectrum(measurements, indices)
         risk += risk_of_shrinking(values, (len(vectors), len(indices)), noise)
         left, back = _factor(values, vectors, len(indices), noise, tolerance, floor)

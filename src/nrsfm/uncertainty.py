@@ -42,7 +42,7 @@ from typing import Any
 import numpy as np
 
 from nrsfm.cameras import LEAST_TURN, camera_turn
-from nrsfm.compression import CompressedTracks
+from nrsfm.compression import CompressedTracks, members_of_cells
 from nrsfm.numerics.low_rank import threshold_over_frames
 from nrsfm.numerics.threads import single_thread
 from nrsfm.options import option
@@ -316,8 +316,7 @@ def _point_quadratic(compressed: CompressedTracks, basis: np.ndarray, form: np.n
     if not compressed.maps:
         return np.asarray(np.sum(fields**2, axis=0))
     out = np.empty(points)
-    order = np.split(np.argsort(compressed.labels, kind="stable"), np.cumsum(compressed.sizes)[:-1])
-    for k, members in enumerate(order):
+    for k, members in enumerate(members_of_cells(compressed.labels, compressed.sizes)):
         left = fields[:, compressed.offsets[k] : compressed.offsets[k + 1]] @ compressed.maps[k]
         for start in range(0, len(members), 4096):
             some = members[start : start + 4096]

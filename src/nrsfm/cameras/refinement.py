@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from nrsfm.cameras import selection
+from nrsfm.manifolds.rotations import whole_rotations
 from nrsfm.numerics.low_rank import threshold_over_frames
 
 LEAST_COST = 3e-4  # mean squared metric residual from which on a refinement helps
@@ -39,7 +40,7 @@ def refine_rotations(rotations: np.ndarray, factor: np.ndarray) -> np.ndarray:
             residual = tracks - rows @ shapes
             shapes, _ = threshold_over_frames(shapes + rows.transpose(0, 2, 1) @ residual, weight)
         rows = _procrustes(tracks, shapes, rows)
-    return np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
+    return whole_rotations(rows)
 
 
 def _procrustes(tracks: np.ndarray, shapes: np.ndarray, rows: np.ndarray) -> np.ndarray:

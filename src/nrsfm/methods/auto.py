@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from nrsfm.manifolds.procrustes import procrustes_mean
+from nrsfm.manifolds.rotations import whole_rotations
 from nrsfm.methods.base import LowRankOptions, Monitor, Needs, Problem, Solution, solve_global
 from nrsfm.methods.gaussian_trajectories import applies, refine
 from nrsfm.methods.linear_coefficients import largest_basis, linear_coefficients, shapes_of_coefficients
@@ -198,11 +199,6 @@ def scatter(shapes: np.ndarray) -> float:
     """Root mean square size of the deviation of aligned shapes (F, 3, N) from their mean of size 1."""
     mean, align, sizes = procrustes_mean(shapes, shapes.mean(axis=0), iterations=30)
     return float(np.sqrt(np.mean(np.sum(((align @ shapes) / sizes[:, None, None] - mean) ** 2, axis=(1, 2)))))
-
-
-def whole_rotations(rows: np.ndarray) -> np.ndarray:
-    """Rotations (F, 3, 3) from their upper rows (F, 2, 3)."""
-    return np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
 
 
 def misfit_variance(problem: Problem, level: float) -> float:

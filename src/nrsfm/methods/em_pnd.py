@@ -34,6 +34,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nrsfm.manifolds.rotations import whole_rotations
 from nrsfm.methods.base import Monitor, Needs, Problem, Solution
 from nrsfm.methods.procrustean_fit import Schedule, fit, unit_size
 from nrsfm.options import option
@@ -91,8 +92,7 @@ class EmPnd:
         kept = above_noise(problem)
         tracks = problem.tracks if kept is None else problem.tracks @ kept.T
         unit = unit_size(tracks)
-        third = np.cross(problem.rotations[:, 0], problem.rotations[:, 1])
-        cameras = np.concatenate([problem.rotations, third[:, None]], axis=1)
+        cameras = whole_rotations(problem.rotations)
         schedule = Schedule(
             factors=options.factors or FACTORS,
             first_noise=options.first_noise,

@@ -40,6 +40,7 @@ from typing import Any
 import numpy as np
 
 from nrsfm.manifolds.quaternions import turn_gradient, turned_rows
+from nrsfm.manifolds.rotations import whole_rotations
 from nrsfm.methods.base import Problem
 
 LARGEST_FRAMES = 200
@@ -348,6 +349,5 @@ def _fold(matrix: np.ndarray) -> np.ndarray:
 
 
 def _largest_turn(rows: np.ndarray, before: np.ndarray) -> float:
-    full = [np.concatenate([r, np.cross(r[:, :1], r[:, 1:])], axis=1) for r in (rows, before)]
-    cosine = (np.einsum("fij,fij->f", *full) - 1.0) / 2.0
+    cosine = (np.einsum("fij,fij->f", whole_rotations(rows), whole_rotations(before)) - 1.0) / 2.0
     return float(np.degrees(np.arccos(np.clip(cosine.min(), -1.0, 1.0))))
