@@ -12,7 +12,7 @@ from benchmarks.tables import amount, error, table
 from benchmarks.tracks import Data
 
 TITLE = "Parts of the default method switched off"
-SEQUENCES = ("face-seq1", "face-seq3", "face-seq4", "ict-rom99", "pickup", "stretch", "back_real126")
+SEQUENCES = ("face-seq1", "face-seq3", "face-seq4", "ict-rom99", "pickup", "stretch", "dance", "back_real126")
 _POINTS = 2_000
 _NOISES = (0.0, targets.NOISE)
 _SIMILARITY = ("back_real126",)

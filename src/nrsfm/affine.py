@@ -77,19 +77,23 @@ class PipelineOptions:
 
 
 class Stages:
-    """Names, times and reports the stages of one run."""
+    """Names, times and reports the stages of one run; the time of a stage inside another counts for itself alone."""
 
     def __init__(self, report: Report) -> None:
         self.seconds: dict[str, float] = {}
         self._report = report
+        self._inner = [0.0]  # seconds of the stages inside each open one
 
     @contextlib.contextmanager
     def __call__(self, name: str) -> Iterator[Callable[[float], None]]:
         """A stage of that name; yields the function that is told its fraction."""
         self._report(name, None)
         start = time.perf_counter()
+        self._inner.append(0.0)
         yield lambda fraction: self._report(name, fraction)
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        whole, inner = time.perf_counter() - start, self._inner.pop()
+        self._inner[-1] += whole
+        self.seconds[name] = self.seconds.get(name, 0.0) + whole - inner
 
 
 @dataclass(frozen=True)
@@ -136,6 +140,7 @@ def reconstruct_affine(
             noise,
             cameras_known=known is not None,
             residual=compressed.residual,
+            ordered=pipeline.ordered,
         )
         solution = method.solve(problem, settings.method, rng, monitor)
     warnings = [*_on_lines(measured), *cameras.warnings, *solution.warnings]

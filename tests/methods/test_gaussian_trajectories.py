@@ -185,7 +185,7 @@ def test_local_step_is_expectation_maximisation():
 def test_recovers_its_own_model_from_wrong_cameras():
     shapes, truth, problem = drawn()
     start = problem.initial_shapes
-    found, rows, info = refine(problem, start, np.random.default_rng(0))
+    found, rows, info = refine(problem, start)
     assert info["applied"]
     assert info["turned"] < 20.0
     errors = frame_errors(rows, found, truth.rows, shapes)
@@ -210,8 +210,8 @@ def test_exact_on_the_compression():
     np.testing.assert_allclose(cell_moments(small)[0], cell_moments(problem)[0], atol=1e-12)
     direct = posterior_mean(truth, truth.frames, problem.tracks)
     np.testing.assert_allclose(posterior_mean(truth, truth.frames, small.tracks) @ back, direct, atol=1e-9)
-    direct, rows, told = refine(problem, problem.initial_shapes, np.random.default_rng(0))
-    found, turned, again = refine(small, small.initial_shapes, np.random.default_rng(0))
+    direct, rows, told = refine(problem, problem.initial_shapes)
+    found, turned, again = refine(small, small.initial_shapes)
     assert again["cost"] == pytest.approx(told["cost"], abs=1e-4)
     assert np.linalg.norm(turned @ (found @ back) - rows @ direct) < 1e-3 * np.linalg.norm(direct)
     assert np.linalg.norm(found @ back - direct) < 0.01 * np.linalg.norm(direct)
@@ -219,7 +219,7 @@ def test_exact_on_the_compression():
 
 def test_known_cameras_stay():
     _, _, problem = drawn(points=300)
-    _, rows, info = refine(replace(problem, cameras_known=True), problem.initial_shapes, np.random.default_rng(0))
+    _, rows, info = refine(replace(problem, cameras_known=True), problem.initial_shapes)
     np.testing.assert_array_equal(rows, problem.rotations)
     assert info["applied"]
     assert info["turned"] < 1e-5
@@ -229,8 +229,8 @@ def test_first_guess_hardly_matters():
     """One optimum: another start for the shapes leads to the same answer."""
     _, _, problem = drawn(points=900)
     start = problem.initial_shapes
-    one, _, _ = refine(problem, start, np.random.default_rng(0))
-    two, _, _ = refine(problem, 0.5 * start + 0.5 * start.mean(axis=0), np.random.default_rng(1))
+    one, _, _ = refine(problem, start)
+    two, _, _ = refine(problem, 0.5 * start + 0.5 * start.mean(axis=0))
     assert np.linalg.norm(one - two) < 0.02 * np.linalg.norm(one)
 
 
@@ -245,7 +245,7 @@ def test_leaves_alone_what_it_is_not_for():
     for wrong, word in ((still, "turns"), (few, "points"), (many, "frames")):
         assert word in str(applies(wrong))
         start = np.zeros((len(wrong.tracks), 3, 300))
-        found, rows, info = refine(wrong, start, np.random.default_rng(0))
+        found, rows, info = refine(wrong, start)
         assert found is start
         assert rows is wrong.rotations
         assert not info["applied"]
@@ -266,7 +266,7 @@ def test_degenerate_tracks_give_finite_shapes(kind):
         problem.tracks[:, :, :100] = 0.0
     if kind == "read-only":
         problem.tracks.setflags(write=False)
-    found, rows, info = refine(problem, problem.initial_shapes, np.random.default_rng(0))
+    found, rows, info = refine(problem, problem.initial_shapes)
     assert info["applied"]
     assert np.isfinite(found).all()
     np.testing.assert_allclose(rows @ rows.transpose(0, 2, 1), np.tile(np.eye(2), (len(rows), 1, 1)), atol=1e-9)
@@ -305,7 +305,7 @@ def test_betters_the_second_algorithm_on_real_expressions(data_root):
     problem = Problem(packed.factors, packed.offsets, packed.sizes, cameras.rotations[:, :2], 0.0, cameras_known=False)
     method = get_method("geometry-aware")
     before = method.solve(problem, method.Options(), rng, lambda _: None).shapes
-    after, _, _ = refine(problem, before, rng)
+    after, _, _ = refine(problem, before)
     errors = [
         metrics.shape_error(packed.expand(shapes, np.dtype("float64")), truth, "per-frame")
         for shapes in (before, after)

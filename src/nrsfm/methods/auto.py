@@ -5,6 +5,7 @@ Beginnings, each from another view of the same tracks:
 - *low rank*: the reweighted nuclear norm of Algorithms 1 and 2, without their groups;
 - *closed form*: coefficients of K basis shapes as a null space (:mod:`nrsfm.methods.linear_coefficients`), K by
   likelihood;
+- *smooth motion*: what moves least from frame to frame (:mod:`nrsfm.methods.smooth_motion`), if frames have an order;
 - *trajectories*: most likely cameras and shapes if each point's path over time is a sample of one Gaussian
   (:mod:`nrsfm.methods.gaussian_trajectories`); for dense tracks of up to 200 frames.
 
@@ -12,6 +13,9 @@ From them the shapes are followed to the greatest likelihood under a Gaussian ov
 (:mod:`nrsfm.methods.procrustean_fit`), and the most likely result is returned. σ² starts low enough to keep what a
 beginning knows, and ends at what the compression has left of the noise. Fewer than ``FEW`` frames say nothing of a
 distribution over frames: there the trajectories have the word. Shapes that scatter about no mean are not followed.
+
+Noise that is left after the compression is first smoothed over time, where the tracks allow it
+(:mod:`nrsfm.numerics.smoothing`).
 
 Everything runs on the tracks with all cells merged, at most 2F virtual points, but for the trajectories, which know
 the cells. On the compression it is exact, as its parts are.
@@ -30,6 +34,8 @@ from nrsfm.methods.base import LowRankOptions, Monitor, Needs, Problem, Solution
 from nrsfm.methods.gaussian_trajectories import applies, refine
 from nrsfm.methods.linear_coefficients import largest_basis, linear_coefficients, shapes_of_coefficients
 from nrsfm.methods.procrustean_fit import Fit, Schedule, fit, unit_size
+from nrsfm.methods.smooth_motion import smooth_motion
+from nrsfm.numerics.smoothing import smoothed
 from nrsfm.options import option
 
 FEW = 30
@@ -50,8 +56,11 @@ LEAST_MISFIT = 1e-4
 NEAR, MIDDLE, FAR = 1e-5, 1e-4, 1e-3
 """First σ², as a share of a shape's squared size: the larger, the less of its beginning a fit remembers."""
 
-FAR_GAIN = 0.03
-"""Gain in log-likelihood per frame and virtual point that a fit needs which forgot its beginning."""
+TELLING = 0.03
+"""Difference in log-likelihood per frame and virtual point below which the likelihood does not tell two fits apart."""
+
+SMOOTHNESS = (0.01, 80.0)
+"""λ of the smoothest motion on exact tracks, and per unit of the noise level."""
 
 LARGEST_SCATTER = 0.5
 """Deviation of the low-rank shapes from their aligned mean, in sizes of the mean, above which nothing is followed."""
@@ -63,12 +72,18 @@ FACTORS, COOLING, NEGLIGIBLE = 60, 0.8, 0.1
 """Columns of B, fall of σ² per iteration, and the variance, in units of σ², below which a direction gets no column."""
 
 
+_MAYBE_EXACT = ("trajectories", "closed form")
+_UNSMOOTHED = 0.99  # share of white noise that is left above which a smoothing is none
+
+
 @dataclass(frozen=True)
 class AutoOptions:
     """Which parts of the default method take part, for ablations. All else comes from the tracks."""
 
     closed_form: bool = option(True, "Begin also from the closed-form shapes.")
     trajectories: bool = option(True, "Begin also from the Gaussian over trajectories.")
+    smooth_motion: bool = option(True, "Begin also from the shapes that move least; needs frames in order.")
+    smooth_tracks: bool = option(True, "Smooth noise that is left in the tracks over time; needs frames in order.")
     follow: bool = option(True, "Follow the beginnings to the most likely shapes under a Gaussian over frames.")
 
 
@@ -101,18 +116,22 @@ class Auto:
 
     def solve(self, problem: Problem, options: AutoOptions, rng: np.random.Generator, monitor: Monitor) -> Solution:
         """Begin, compare, follow, choose."""
+        few, chosen = len(problem.tracks) < FEW, dict[str, Any]()
+        motion = max(SMOOTHNESS[0], SMOOTHNESS[1] * problem.noise)
+        if options.smooth_tracks and problem.ordered and not few:
+            problem, chosen["smoothing"] = without_noise(problem)
         merged, back = problem.merged()
         merged, back = leading(merged, back)
         first = solve_global(merged, LowRankOptions(reweight=REWEIGHT), lambda share: monitor(0.1 * share))
-        along, few = None, len(problem.tracks) < FEW
+        along = None
         if options.trajectories and applies(problem) is None:
-            along, rows, found = refine(problem, first.shapes @ back, rng)
+            along, rows, found = refine(problem, first.shapes @ back)
             monitor(0.4)
             if few and float(found["turned"]) > LARGEST_MOVE:
                 along = None
             elif few or not options.follow:
                 moved = None if problem.cameras_known else rows
-                chosen = {"start": "trajectories", **found}
+                chosen |= {"start": "trajectories", **found}
                 history = {"energy": [float(found["cost"])]}
                 return Solution(along, None, found["steps"], "converged", history, chosen, rotations=moved)
             if along is not None:
@@ -121,16 +140,22 @@ class Auto:
         scattered = scatter(first.shapes) > LARGEST_SCATTER  # about no mean: no Gaussian freed from rigid motion
         if not options.follow or few or scattered:
             first.shapes = first.shapes @ back
-            first.chosen["start"] = "low rank"
+            first.chosen |= {"start": "low rank", **chosen}
             return first
-        return self._followed(merged, back, first.shapes, along, options, monitor)
+        begun = {"low rank": first.shapes}
+        if along is not None:
+            begun["trajectories"] = along
+        elif options.smooth_motion and problem.ordered:
+            begun["smooth motion"] = smooth_motion(merged.tracks, merged.rotations, motion)
+        solution = self._followed(merged, back, begun, options, monitor)
+        solution.chosen |= chosen
+        return solution
 
     def _followed(
         self,
         problem: Problem,
         back: np.ndarray,
-        low_rank: np.ndarray,
-        along: np.ndarray | None,
+        begun: dict[str, np.ndarray],
         options: AutoOptions,
         monitor: Monitor,
     ) -> Solution:
@@ -139,17 +164,18 @@ class Auto:
         tracks, cameras = problem.tracks / unit, whole_rotations(problem.rotations)
         floor = misfit_variance(problem, max(problem.residual, LEAST_MISFIT)) / unit**2
         screen = max(misfit_variance(problem, SCREEN) / unit**2, floor)
-        found = {"low rank": low_rank / unit}
-        if along is not None:
-            found["trajectories"] = along / unit
-        judged = {name: _judged(tracks, cameras, shapes, screen) for name, shapes in found.items()}
-        if options.closed_form:
+        found = {name: shapes / unit for name, shapes in begun.items()}
+        noisy = problem.residual > LEAST_MISFIT
+        judged: dict[str, float] = {}
+        if not (noisy and "trajectories" in found):  # else these are followed, whatever the others are worth
+            judged = {name: _judged(tracks, cameras, shapes, screen) for name, shapes in found.items()}
+        if options.closed_form and judged:
             closed, by_basis = closed_form(tracks, cameras, screen)
             if closed is not None:
                 found["closed form"] = closed
                 judged["closed form"] = max(by_basis.values())
         fits: list[tuple[_Start, Fit]] = []
-        starts = _worth_following(found, judged, screen, noisy=problem.residual > LEAST_MISFIT)
+        starts = _worth_following(found, judged, screen, noisy=noisy)
         for number, start in enumerate(starts):
             noise = max(start.noise, floor)
             schedule = Schedule(FACTORS, noise, floor, noise / 10, COOLING, negligible=NEGLIGIBLE)
@@ -158,7 +184,7 @@ class Auto:
                 monitor(0.5 + 0.5 * (done + share) / len(starts))
 
             fits.append((start, fit(tracks, cameras, start.shapes, schedule, told)))
-        start, best = _most_likely(fits, FAR_GAIN * tracks.shape[0] * tracks.shape[2])
+        start, best = _most_likely(fits, TELLING * tracks.shape[0] * tracks.shape[2], ordered=problem.ordered)
         chosen: dict[str, Any] = {
             "start": start.name,
             "first_noise": start.noise,
@@ -184,21 +210,61 @@ def _worth_following(
     low_rank = found["low rank"]
     if noisy and "trajectories" in found:
         return [_Start("trajectories", found["trajectories"], MIDDLE)]
-    better = [name for name in found if name != "low rank" and judged[name] > judged["low rank"]]
+    better = [name for name in found if name in _MAYBE_EXACT and judged[name] > judged["low rank"]]
     if better:
         return [_Start("low rank", low_rank, NEAR), *(_Start(name, found[name], screen) for name in better)]
-    return [_Start("low rank", low_rank, noise) for noise in (NEAR, MIDDLE, FAR)]
+    starts = [_Start("low rank", low_rank, noise) for noise in (NEAR, MIDDLE, FAR)]
+    if "smooth motion" in found:
+        starts.append(_Start("smooth motion", found["smooth motion"], MIDDLE))
+    return starts
 
 
-def _most_likely(fits: list[tuple[_Start, Fit]], margin: float) -> tuple[_Start, Fit]:
-    """The fit of greatest likelihood; one that began from afar must be more likely than the others by a margin."""
-    return max(fits, key=lambda pair: pair[1].likelihood - (margin if pair[0].noise >= FAR else 0.0))
+def _most_likely(fits: list[tuple[_Start, Fit]], margin: float, *, ordered: bool) -> tuple[_Start, Fit]:
+    """The fit of greatest likelihood; of those within the margin of it, the one that is steadiest over time.
+
+    Beginnings that may be exact decide by likelihood alone. Without an order of frames a fit that forgot its beginning
+    must win by the margin.
+    """
+    if any(start.name in _MAYBE_EXACT for start, _ in fits):
+        return max(fits, key=lambda pair: pair[1].likelihood)
+    if not ordered:
+        return max(fits, key=lambda pair: pair[1].likelihood - (margin if pair[0].noise >= FAR else 0.0))
+    least = max(fit.likelihood for _, fit in fits) - margin
+    return min((pair for pair in fits if pair[1].likelihood >= least), key=lambda pair: unsteadiness(pair[1]))
+
+
+def unsteadiness(found: Fit) -> float:
+    """Squared change of the aligned shapes from frame to frame, in units of their squared deviation from the mean."""
+    aligned = found.align @ found.shapes
+    aligned = aligned / np.linalg.norm(aligned, axis=(1, 2), keepdims=True)
+    spread = float(np.sum((aligned - aligned.mean(axis=0)) ** 2))
+    return float(np.sum(np.diff(aligned, axis=0) ** 2)) / max(spread, np.finfo(float).tiny)
 
 
 def scatter(shapes: np.ndarray) -> float:
     """Root mean square size of the deviation of aligned shapes (F, 3, N) from their mean of size 1."""
     mean, align, sizes = procrustes_mean(shapes, shapes.mean(axis=0), iterations=30)
     return float(np.sqrt(np.mean(np.sum(((align @ shapes) / sizes[:, None, None] - mean) ** 2, axis=(1, 2)))))
+
+
+def without_noise(problem: Problem) -> tuple[Problem, dict[str, float] | None]:
+    """The problem with its tracks smoothed over time, and how; as it is where more than noise would go.
+
+    Cross-validation alone smooths short or jerky sequences: what is removed may not exceed what is known to be noise.
+    And what neighbours in time predict better than the noise level allows has less noise than was thought.
+    """
+    if problem.residual <= 0.0:
+        return problem, None
+    frames, _, count = problem.tracks.shape
+    curves = smoothed(problem.tracks.reshape(frames, 2 * count))
+    per_point = float(np.sqrt(count / problem.points))  # from virtual coordinates to real ones
+    removed, predicted = curves.removed * per_point, curves.predicted * per_point
+    share = min(1.0, predicted / problem.residual)
+    if removed > problem.residual or curves.left > _UNSMOOTHED:
+        return replace(problem, noise=problem.noise * share, residual=problem.residual * share), None
+    how = {"order": curves.order, "weight": curves.weight, "removed": removed, "left": curves.left}
+    tracks, share = curves.values.reshape(problem.tracks.shape), share * curves.left
+    return replace(problem, tracks=tracks, noise=problem.noise * share, residual=problem.residual * share), how
 
 
 def misfit_variance(problem: Problem, level: float) -> float:

@@ -48,8 +48,9 @@ class Problem:
     ``offsets[k]:offsets[k+1]``. ``sizes`` (K,): real points of each cell. ``rotations`` (F, 2, 3): the upper rows of
     the cameras. ``noise``: standard deviation of a real coordinate. ``cameras_known``: the cameras were given; a
     method that estimates cameras and shapes together then leaves them as they are. ``residual``: estimate of the
-    noise that is left in the tracks after the compression has shrunk it, root mean square per real coordinate. A
-    method that needs every point gets the real tracks, in the order of the input, in place of virtual ones.
+    noise that is left in the tracks after the compression has shrunk it, root mean square per real coordinate.
+    ``ordered``: the frames follow one another in time. A method that needs every point gets the real tracks, in the
+    order of the input, in place of virtual ones.
     """
 
     tracks: np.ndarray
@@ -59,6 +60,7 @@ class Problem:
     noise: float
     cameras_known: bool = True
     residual: float = 0.0
+    ordered: bool = True
 
     @property
     def points(self) -> int:

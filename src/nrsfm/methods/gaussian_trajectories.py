@@ -100,9 +100,7 @@ def applies(problem: Problem) -> str | None:
     return None
 
 
-def refine(
-    problem: Problem, start_shapes: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+def refine(problem: Problem, start_shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Shapes and cameras of greatest likelihood, from any first shapes.
 
     Parameters
@@ -112,8 +110,6 @@ def refine(
         rotations are the start, and stay as they are where ``cameras_known``.
     start_shapes
         (F, 3, N) in the object frame of ``problem.rotations``; returned as they are where :func:`applies` says why.
-    rng
-        Not used: nothing here is random.
 
     Returns
     -------
