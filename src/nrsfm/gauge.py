@@ -34,6 +34,7 @@ from nrsfm.cameras import orbit
 from nrsfm.cameras.estimate import ORBIT_DEVIATION, ORBIT_SHARE, REFINED_TURN
 from nrsfm.cameras.selection import NORM_TOLERANCE
 from nrsfm.manifolds.procrustes import align
+from nrsfm.manifolds.rotations import from_vectors, to_vectors
 from nrsfm.numerics.threads import single_thread
 from nrsfm.options import option
 
@@ -195,7 +196,7 @@ def steady_gauge(seen: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, f
         path = rotations
         for _ in range(4):  # turns do not add up like vectors: the linear step is repeated from where it led
             slope = np.linalg.lstsq(np.diff(scores, n=2, axis=0), np.diff(_steps(path), axis=0), rcond=1e-8)[0]
-            path = path @ np.swapaxes(orbit._rotation(scores @ slope), 1, 2)
+            path = path @ np.swapaxes(from_vectors(scores @ slope), 1, 2)
         left_over = roughness(path) ** 2 / (1.0 - min(size / (count - 2), 0.9)) ** 2
         gain = 1.0 - left_over / max(before, _TINY)
         if gain > best[1]:
@@ -251,8 +252,8 @@ def _nuclear(seen: np.ndarray, rotations: np.ndarray) -> float:
 
 def _steps(rotations: np.ndarray) -> np.ndarray:
     """Turn (F − 1, 3) between consecutive cameras in the object frame, as rotation vectors in radians."""
-    return orbit._vector(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:])
+    return to_vectors(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:])
 
 
 def _angles(rotations: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.norm(orbit._vector(rotations), axis=1))
+    return np.asarray(np.linalg.norm(to_vectors(rotations), axis=1))

@@ -181,7 +181,10 @@ def test_exact_tracks_that_are_thought_noisy_are_found_out():
 
 def test_smooth_motion_is_used_only_in_order():
     noisy, _ = slow_problem()
-    names = [{x[0] for x in solved(replace(noisy, ordered=o), closed_form=False).chosen["likelihoods"]} for o in (True, False)]
+    names = [
+        {x[0] for x in solved(replace(noisy, ordered=o), closed_form=False).chosen["likelihoods"]}
+        for o in (True, False)
+    ]
     assert names == [{"low rank", "smooth motion"}, {"low rank"}]
 
 

@@ -12,17 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-
-def _rotation(vectors: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(vectors).as_matrix()
-
-
-def _vector(rotations: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotations).as_rotvec()
+from nrsfm.manifolds.rotations import from_vectors, to_vectors
 
 
 def _nearest(cross: np.ndarray) -> np.ndarray:
@@ -33,7 +23,7 @@ def _nearest(cross: np.ndarray) -> np.ndarray:
 
 def orbit_path(velocity: np.ndarray, frames: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """exp(f ω) R₀ for the given frame numbers, with R₀ the one nearest to ``rotations`` (F, 3, 3)."""
-    turns = _rotation(frames[:, None] * velocity)
+    turns = from_vectors(frames[:, None] * velocity)
     return turns @ _nearest(np.einsum("fji,fjk->ik", turns, rotations))
 
 
@@ -45,21 +35,21 @@ def fit_orbit(rotations: np.ndarray) -> tuple[np.ndarray, float, float]:
     """
     count = len(rotations)
     frames = np.arange(count) - (count - 1) / 2.0
-    velocity = np.median(_vector(rotations[1:] @ np.swapaxes(rotations[:-1], 1, 2)), axis=0)
+    velocity = np.median(to_vectors(rotations[1:] @ np.swapaxes(rotations[:-1], 1, 2)), axis=0)
     for _ in range(30):
         path = orbit_path(velocity, frames, rotations)
-        gap = _vector(rotations @ np.swapaxes(path, 1, 2))
+        gap = to_vectors(rotations @ np.swapaxes(path, 1, 2))
         slope = np.empty((count, 3, 6))
         slope[:, :, 3:] = path @ np.swapaxes(path[:1], 1, 2)
-        back = np.swapaxes(_rotation(frames[:, None] * velocity), 1, 2)
+        back = np.swapaxes(from_vectors(frames[:, None] * velocity), 1, 2)
         for i in range(3):
-            moved = _rotation(frames[:, None] * (velocity + 1e-6 * np.eye(3)[i]))
-            slope[:, :, i] = _vector(moved @ back) / 1e-6
+            moved = from_vectors(frames[:, None] * (velocity + 1e-6 * np.eye(3)[i]))
+            slope[:, :, i] = to_vectors(moved @ back) / 1e-6
         step = np.linalg.lstsq(slope.reshape(-1, 6), gap.ravel(), rcond=None)[0][:3]
         velocity = velocity + step
         if np.linalg.norm(step) < 1e-10:
             break
-    gap = _vector(rotations @ np.swapaxes(orbit_path(velocity, frames, rotations), 1, 2))
+    gap = to_vectors(rotations @ np.swapaxes(orbit_path(velocity, frames, rotations), 1, 2))
     deviation = float(np.degrees(np.linalg.norm(gap, axis=1).mean()))
     return velocity, deviation, float(np.degrees(np.linalg.norm(velocity)) * (count - 1))
 

@@ -6,6 +6,7 @@
 3. Depth from :func:`~nrsfm.perspective.averaged_shapes`, which sees the tracks through the perspective camera; the
    tracks without perspective; their affine reconstruction, brought into the proven mirror image.
 4. Once more, with the mean of both depths.
+5. The mean of both shapes, and of it with the most likely shapes near it (:func:`~nrsfm.perspective.likely_shapes`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 
 from nrsfm.perspective.evidence import find_perspective, mirror_evidence
 from nrsfm.perspective.geometry import perspective_error, undo_perspective
+from nrsfm.perspective.likely import likely_shapes
 from nrsfm.perspective.options import PerspectiveOptions
 from nrsfm.perspective.shapes import CameraShapes, averaged_shapes
 from nrsfm.reconstruction import Reconstruction
@@ -54,8 +56,9 @@ def with_perspective(
         Another affine reconstruction of the points, which is asked where the first shows no perspective: shapes that
         follow the tracks closely have bent what perspective did into themselves.
     final
-        ``"average"`` returns the mean of the shapes of ``solve`` and of the perspective model, ``"model"`` those of
-        the model, ``"solve"`` those of ``solve``, where perspective is undone.
+        ``"average"`` returns the mean of the shapes of ``solve`` and of the perspective model, and of it with the
+        most likely shapes near it, ``"model"`` those of the model, ``"solve"`` those of ``solve``, where perspective
+        is undone.
 
     Returns
     -------
@@ -106,6 +109,9 @@ def _undone(
                 depths = 0.5 * (seen.shapes[:, :, 2] + _camera_shapes(result)[:, :, 2])
     if final == "average":
         shapes = 0.5 * (seen.shapes + _camera_shapes(result))
+        undone = undo_perspective(points, shapes[:, :, 2], ones, matrix)
+        noise = float(result.diagnostics["noise"])
+        shapes = 0.5 * (shapes + likely_shapes(undone, shapes, seen.rotations, seen.scales, noise))
     if final != "solve":
         inverse = np.swapaxes(seen.rotations, 1, 2) / seen.scales[:, None, None]
         moved = np.empty_like(shapes)
