@@ -30,7 +30,7 @@ def test_every_command_has_help(command, pipeline, verb):
     ("words", "text"),
     [
         ([], "a command is needed, one of demo, reconstruct"),
-        (["reconstrct"], "unknown command 'reconstrct'; did you mean 'reconstruct'?"),
+        (["reconstrct"], "unknown command 'reconstrct'; did you mean 'reconstruct'"),
         (["zzz"], "unknown command 'zzz'; see nrsfm --help"),
         (["--helpp"], "unknown option '--helpp'; did you mean '--help'?"),
         (["methods", "--jsn"], "unknown option '--jsn'; did you mean '--json'?"),

@@ -16,6 +16,7 @@ VERBS = {
     "reconstruct": "tracks to shapes and cameras",
     "evaluate": "a reconstruction against the truth, under every alignment",
     "info": "what a file holds",
+    "export": "shapes and cameras as PLY, OBJ, animated glTF, USD, CSV or npz",
     "methods": "the methods, what they assume and what they cost",
     "datasets": "the benchmark sequences that can be read, and which are here",
     "experiment": "the tables and figures of the paper, computed, drawn and judged",
