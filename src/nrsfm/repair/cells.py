@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nrsfm.clustering import kmeans
-from nrsfm.repair.model import Model, Prior, infer
+from nrsfm.repair.model import Model, Prior, infer, inferred_mean
 
 SIZE = 60  # points of a cell
 _IMAGINARY = 3.0
@@ -56,7 +56,7 @@ def learn_cells(model: Model, count: int, batches: Batches, rng: np.random.Gener
     r = model.rank
     mean = np.empty((count, r))
     for which, tracks, weights in batches():
-        mean[which] = infer(model, tracks, weights)[0]
+        mean[which] = inferred_mean(model, tracks, weights)
     size = np.linalg.norm(model.loadings.reshape(-1, r), axis=0)[:_COORDINATES]
     place = mean[:, : len(size)] * size
     labels = kmeans(place.astype(np.float32), wanted, rng)

@@ -21,6 +21,7 @@ _TRIM = 0.1
 _GAIN = 0.98  # a step that lowers the error by less than 2% gains nothing
 _STEPS = 12  # iterations for each rank on the way; the last one is iterated to convergence
 _LAST = 40
+_SETTLE = 120  # iterations of exact tracks, at the smallest noise
 _EXACT = 0.01  # a step that lowers the noise tenfold has met the rank of noise-free tracks
 _LONG = 150
 
@@ -128,6 +129,7 @@ def learn(
         robust=False,
         iterations=_LAST,
         change=1e-3,
+        settle=_SETTLE,
     )
     return Learned(model, covariance, weights, best_score, ladder)
 
@@ -135,6 +137,6 @@ def learn(
 def relearn(learned: Learned, tracks: np.ndarray, seen: np.ndarray) -> Learned:
     """The same rank, fitted again after ``seen`` (F, n) has changed."""
     model, covariance, weights, _ = fit(
-        learned.model, tracks, seen.astype(np.float64), robust=False, iterations=_LAST, change=1e-3
+        learned.model, tracks, seen.astype(np.float64), robust=False, iterations=_LAST, change=1e-3, settle=_SETTLE
     )
     return replace(learned, model=model, covariance=covariance, weights=weights)

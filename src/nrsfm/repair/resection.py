@@ -35,8 +35,8 @@ FAR_OFF, LEAST_FAR_OFF = 6.0, 0.02
 
 _CHUNK = 256
 _RAYLEIGH = 1.177  # median length of a two-dimensional Gaussian vector, in standard deviations of a coordinate
-_EXACT = 1e-4  # least noise of the regression, in units of the rms: shapes are no better than that
-_WEAK = 1e-5  # basis shapes of less than this share of the largest are left out
+_EXACT = 1e-5  # least noise of the regression, in units of the rms
+_WEAK = 1e-6  # basis shapes of less than this share of the largest are left out
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,14 @@ import numpy as np
 from nrsfm.errors import InputError
 from nrsfm.numerics.threads import single_thread
 from nrsfm.repair.cells import Batches, Cells, learn_cells
+from nrsfm.repair.exact import NEARLY, exact_verdicts, is_exact
 from nrsfm.repair.growth import Learned, hide_like_missing, learn, relearn
 from nrsfm.repair.model import Model, spread_of_fit
 from nrsfm.repair.options import Repaired, RepairOptions
 from nrsfm.repair.outliers import SUSPECT, Suspicion, suspect
 from nrsfm.repair.resection import GOOD, NOISY
 from nrsfm.repair.screen import worth_a_look
-from nrsfm.repair.verdicts import acquitted, posterior, refined, settled, verdicts
+from nrsfm.repair.verdicts import acquitted, posterior, posterior_mean, refined, settled, verdicts
 from nrsfm.repair.view import LEAST_IN_FRAME, View, require_tied, view_of
 from nrsfm.tracks import Tracks
 
@@ -38,6 +39,7 @@ _SAMPLE = 1_000  # points that teach the model's rows
 _CELL_SAMPLE = 30_000  # points that teach the neighbours' priors
 _LEAST_FRAMES = 3
 _MUCH = 0.5
+_LEAST_EXACT = 3  # times the sample: so many points there must be to check a model with others than its own
 _FEW = 0.02  # share of the points: so few suspects are first asked whether the model explains them
 _TURNS = 4
 _STABLE = 0.002
@@ -114,27 +116,34 @@ def _repair(
         return new, _neighbours(view, good, new, teachers, rng)
 
     learned, cells = again(None, 0.2)
-    if suspicion is not None and few:
-        free = acquitted(view, sample, suspicion, learned)
-        suspicion.wrong[:, free] = False
+    wrong, spoilt = np.zeros_like(seen), np.zeros(view.count, dtype=bool)
+    exactly = None
+    if suspicion is not None:
+        exactly = _exactly(view, seen, suspicion.wrong, candidates, sample, learned, options, rng)
+    if exactly is not None:
+        wrong, spoilt, learned = exactly
+        good = seen & ~wrong
+    elif suspicion is not None:
+        if few:
+            free = acquitted(view, sample, suspicion, learned)
+            suspicion.wrong[:, free] = False
+            if suspicion.wrong.any():
+                good = seen & ~suspicion.wrong
+                learned, cells = again(learned, 0.5)
         if suspicion.wrong.any():
-            good = seen & ~suspicion.wrong
-            learned, cells = again(learned, 0.5)
-        elif tracks.complete:
-            return whole
-    wrong = np.zeros_like(seen)
-    if suspicion is not None and suspicion.wrong.any():
-        wrong = suspicion.wrong
-        for turn in range(_TURNS):
-            before = wrong
-            done = 0.6 + 0.08 * turn
-            wrong = verdicts(view, seen, suspicion, learned, cells, _part(monitor, done, 0.08), before)
+            wrong = suspicion.wrong
+            for turn in range(_TURNS):  # the model needs the verdicts on its own points alone
+                before, done = wrong, 0.6 + 0.05 * turn
+                wrong = verdicts(view, seen, suspicion, learned, cells, _part(monitor, done, 0.05), before, sample)
+                good = seen & ~wrong
+                own = wrong[:, sample]
+                if np.count_nonzero(own ^ before[:, sample]) <= _STABLE * max(int(np.count_nonzero(own)), 1):
+                    break
+                learned, cells = again(None if turn == 0 else learned, done)
+            wrong = verdicts(view, seen, suspicion, learned, cells, _part(monitor, 0.8, 0.05), wrong)
             good = seen & ~wrong
-            if turn + 1 == _TURNS or np.count_nonzero(wrong ^ before) <= _STABLE * max(int(np.count_nonzero(wrong)), 1):
-                break
-            learned, cells = again(None if turn == 0 else learned, done)
-        if tracks.complete and not wrong.any():
-            return whole
+    if tracks.complete and not wrong.any():
+        return whole
     monitor(0.85)
     least = options.least_frames or max(_LEAST_FRAMES, min(-(-learned.model.rank // 2), -(-view.frames // 4)))
     kept = candidates & (good.sum(axis=0) >= least)
@@ -143,6 +152,7 @@ def _repair(
             f"tracks: at least 4 points must be seen in {least} frames or more, received {int(kept.sum())}"
         )
     points, doubt = _filled(view, good, wrong, kept, learned.model, cells, monitor)
+    doubt[spoilt] = view.unit
     filled = np.count_nonzero(~good, axis=0)[kept]
     uncertain = float(np.sqrt(np.sum(doubt[kept] ** 2 * filled) / max(int(filled.sum()), 1)))
     confidence = _confidence(seen, wrong, suspicion)
@@ -154,6 +164,38 @@ def _repair(
     )
 
 
+def _exactly(
+    view: View,
+    seen: np.ndarray,
+    suspected: np.ndarray,
+    candidates: np.ndarray,
+    sample: np.ndarray,
+    learned: Learned,
+    options: RepairOptions,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, Learned] | None:
+    """Wrong entries (F, P) of exact tracks, points (P,) that no verdict makes fit, and a model of clean points.
+
+    ``None`` where the tracks are not exact, or too few of their points are clean.
+    """
+    if learned.model.variance > NEARLY**2 or view.count < _LEAST_EXACT * _SAMPLE:
+        return None
+    for turn in range(_TURNS):
+        found = exact_verdicts(view, seen, suspected, learned.model)
+        if is_exact(learned.model) and (turn > 0 or not found.wrong.any()):
+            return found.wrong, ~found.clean, learned
+        suspected = suspected | found.wrong
+        others = found.clean & candidates
+        others[sample] = False
+        if np.count_nonzero(others) < _SAMPLE:
+            return None
+        sample = np.sort(rng.choice(np.flatnonzero(others), size=_SAMPLE, replace=False))
+        good = (seen & ~found.wrong)[:, sample]
+        part = view.columns(sample) * good[:, None]
+        learned = learn(part, good, options.completion_rank, rng=rng, monitor=lambda _: None)
+    return None
+
+
 def _part(monitor: Callable[[float], None], start: float, share: float) -> Callable[[float], None]:
     return lambda done: monitor(start + share * done)
 
@@ -161,8 +203,13 @@ def _part(monitor: Callable[[float], None], start: float, share: float) -> Calla
 def _neighbours(
     view: View, good: np.ndarray, learned: Learned, members: np.ndarray, rng: np.random.Generator
 ) -> Cells | None:
-    """Priors of cells, where they predict held-out entries better than the global prior."""
+    """Priors of cells, where they predict held-out entries better than the global prior.
+
+    Dense exact tracks need none: what their own entries do not determine is not used (:func:`trusted_points`).
+    """
     model = learned.model
+    if model.variance <= NOISY**2 and view.count >= 3 * view.frames:
+        return None
     if len(members) > _CELL_SAMPLE:
         members = np.sort(rng.choice(members, size=_CELL_SAMPLE, replace=False))
 
@@ -184,7 +231,7 @@ def _neighbours(
     for part, tracks, weights in batches(use & ~held, trial)():
         truth = view.columns(trial[part])
         for i, prior in enumerate((None, cells)):
-            distance = np.linalg.norm(truth - model.predict(posterior(model, tracks, weights, prior)[0]), axis=1)
+            distance = np.linalg.norm(truth - model.predict(posterior_mean(model, tracks, weights, prior)), axis=1)
             score[i] += float(np.sum(distance[held[:, part]]))
     if score[1] >= score[0]:
         return None
@@ -211,7 +258,7 @@ def _filled(
         weights = use.astype(np.float64)
         tracks = view.columns(part) * weights[:, None]
         mean, covariance = posterior(model, tracks, weights, cells)
-        marred = wrong[:, part].any(axis=0)
+        marred = wrong[:, part].any(axis=0) & (not is_exact(model))
         if marred.any():  # what is left of an error, the start of a slide, must not steer the rest of its track
             prior = None if cells is None else cells.prior(mean[marred])
             own, use_own = tracks[:, :, marred], weights[:, marred]

@@ -17,7 +17,7 @@ import numpy as np
 
 from nrsfm.repair.cells import Cells
 from nrsfm.repair.growth import Learned
-from nrsfm.repair.model import Model, Prior, infer, robust_weights
+from nrsfm.repair.model import Model, Prior, infer, inferred_mean, robust_weights
 from nrsfm.repair.outliers import Suspicion, spread_in_time
 from nrsfm.repair.view import View
 
@@ -39,8 +39,14 @@ def posterior(
     model: Model, tracks: np.ndarray, weights: np.ndarray, cells: Cells | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean (n, r) and covariance (n, r, r) of points under the prior of their cell."""
-    mean, covariance = infer(model, tracks, weights)
-    return (mean, covariance) if cells is None else infer(model, tracks, weights, cells.prior(mean))
+    prior = None if cells is None else cells.prior(inferred_mean(model, tracks, weights))
+    return infer(model, tracks, weights, prior)
+
+
+def posterior_mean(model: Model, tracks: np.ndarray, weights: np.ndarray, cells: Cells | None) -> np.ndarray:
+    """The mean of :func:`posterior` alone."""
+    mean = inferred_mean(model, tracks, weights)
+    return mean if cells is None else inferred_mean(model, tracks, weights, cells.prior(mean))
 
 
 def settled(
@@ -84,7 +90,7 @@ def _explained(
     free = np.einsum("nii->n", infer(model, tracks, clean)[1])
     weights, scale = seen, _WIDE
     while True:
-        squared = np.sum((tracks - model.predict(infer(model, tracks, weights)[0])) ** 2, axis=1)
+        squared = np.sum((tracks - model.predict(inferred_mean(model, tracks, weights))) ** 2, axis=1)
         if scale < 0.1 * near:
             break
         weights = seen * robust_weights(squared, scale**2)
@@ -104,23 +110,33 @@ def verdicts(
     cells: Cells | None,
     monitor: Callable[[float], None],
     previous: np.ndarray | None = None,
+    among: np.ndarray | None = None,
 ) -> np.ndarray:
-    """(F, P) bool: entries that are wrong. ``previous``: the verdicts with which the model was learned."""
+    """(F, P) bool: entries that are wrong.
+
+    ``previous``: the verdicts with which the model was learned. ``among``: the points that are judged, all if not
+    given; the verdicts on the others are the previous ones.
+    """
     if previous is None:
         previous = suspicion.wrong
     model = learned.model
     noise = float(np.sqrt(2 * model.variance))
     threshold = max(_BEYOND * noise, _LEAST)
     acquit = max(_FAR * noise, 2.0 * learned.held_out, _LEAST)
-    wrong = np.zeros_like(seen)
     suspects = suspicion.wrong | previous
     good = seen & ~suspects
-    doubtful = suspects.any(axis=0)
-    quiet = np.flatnonzero(~doubtful & (suspicion.score > _SOMEWHAT).any(axis=0))
+    judged = np.ones(view.count, dtype=bool)
+    wrong = np.zeros_like(seen)
+    if among is not None:
+        judged[:] = False
+        judged[among] = True
+        wrong[:, ~judged] = previous[:, ~judged]
+    doubtful = suspects.any(axis=0) & judged
+    quiet = np.flatnonzero(judged & ~doubtful & (suspicion.score > _SOMEWHAT).any(axis=0))
     for part in view.chunks(quiet):
         weights = good[:, part].astype(np.float64)
         tracks = view.columns(part)
-        rest = tracks - model.predict(posterior(model, tracks, weights, cells)[0])
+        rest = tracks - model.predict(posterior_mean(model, tracks, weights, cells))
         doubtful[part] = ((np.linalg.norm(rest, axis=1) > 0.5 * threshold) & good[:, part]).any(axis=0)
     members = np.flatnonzero(doubtful)
     for i, part in enumerate(view.chunks(members)):
@@ -129,7 +145,7 @@ def verdicts(
         use, clean = seen[:, part].astype(np.float64), good[:, part].astype(np.float64)
         prior = None
         if cells is not None:
-            prior = cells.prior(infer(model, tracks * clean[:, None], clean)[0])
+            prior = cells.prior(inferred_mean(model, tracks * clean[:, None], clean))
         distance, whole = _explained(model, tracks, use, clean, prior, acquit)
         far = (distance > acquit) & suspects[:, part]
         beyond = (distance > threshold) & (suspicion.score[:, part] > _SOMEWHAT)
@@ -152,7 +168,7 @@ def acquitted(view: View, sample: np.ndarray, suspicion: Suspicion, learned: Lea
     for part in view.chunks(members):
         weights = view.seen(part).astype(np.float64)
         tracks = view.columns(part)
-        mean = infer(model, tracks, weights)[0]
+        mean = inferred_mean(model, tracks, weights)
         rest = np.linalg.norm(tracks - model.predict(mean), axis=1) * suspicion.wrong[:, part]
         leverage = np.sum(mean**2, axis=1) / len(sample) * np.isin(part, sample)
         out[part] = (rest.max(axis=0) <= near) & (leverage < _PRIVATE)
