@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nrsfm.repair.growth import Learned, learn
 from nrsfm.repair.model import LEAST, Model, infer, inferred_mean, spread_of_fit
 from nrsfm.repair.view import View
 
@@ -31,6 +32,10 @@ _RARE = 0.05
 _MOST = 0.1  # share of wrong entries from which a verdict is doubted; twice that may be left out one by one
 
 
+_LEAST = 3  # times the sample: so many points there must be to check a model with others than its own
+_ROUNDS = 4
+
+
 @dataclass(frozen=True)
 class Exact:
     """``wrong`` (F, P): entries that are not met; ``clean`` (P,): points whose others are, as well as most points'."""
@@ -42,6 +47,39 @@ class Exact:
 def is_exact(model: Model) -> bool:
     """Whether the model leaves no more than rounding."""
     return bool(model.variance <= ROUNDING**2)
+
+
+def settle_exactly(
+    view: View,
+    seen: np.ndarray,
+    suspected: np.ndarray,
+    candidates: np.ndarray,
+    sample: np.ndarray,
+    learned: Learned,
+    rank: int | None,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, Learned] | None:
+    """Wrong entries (F, P) of exact tracks, points (P,) that no verdict makes fit, and a model of clean points.
+
+    ``sample``: the points of ``learned``; ``candidates`` (P,): those seen often enough. ``rank``: the model's, or
+    ``None`` to choose. ``None`` is returned where tracks are not exact, or too few of their points are clean.
+    """
+    if learned.model.variance > NEARLY**2 or view.count < _LEAST * len(sample):
+        return None
+    for turn in range(_ROUNDS):
+        found = exact_verdicts(view, seen, suspected, learned.model)
+        if is_exact(learned.model) and (turn > 0 or not found.wrong.any()):
+            return found.wrong, ~found.clean, learned
+        suspected = suspected | found.wrong
+        others = found.clean & candidates
+        others[sample] = False
+        if np.count_nonzero(others) < len(sample):
+            return None
+        sample = np.sort(rng.choice(np.flatnonzero(others), size=len(sample), replace=False))
+        good = (seen & ~found.wrong)[:, sample]
+        part = view.columns(sample) * good[:, None]
+        learned = learn(part, good, rank, rng=rng, monitor=lambda _: None)
+    return None
 
 
 def exact_verdicts(view: View, seen: np.ndarray, suspected: np.ndarray, model: Model) -> Exact:

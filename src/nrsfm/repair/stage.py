@@ -24,7 +24,7 @@ import numpy as np
 from nrsfm.errors import InputError
 from nrsfm.numerics.threads import single_thread
 from nrsfm.repair.cells import Batches, Cells, learn_cells
-from nrsfm.repair.exact import NEARLY, exact_verdicts, is_exact
+from nrsfm.repair.exact import is_exact, settle_exactly
 from nrsfm.repair.growth import Learned, hide_like_missing, learn, relearn
 from nrsfm.repair.model import Model, spread_of_fit
 from nrsfm.repair.options import Repaired, RepairOptions
@@ -39,7 +39,6 @@ _SAMPLE = 1_000  # points that teach the model's rows
 _CELL_SAMPLE = 30_000  # points that teach the neighbours' priors
 _LEAST_FRAMES = 3
 _MUCH = 0.5
-_LEAST_EXACT = 3  # times the sample: so many points there must be to check a model with others than its own
 _FEW = 0.02  # share of the points: so few suspects are first asked whether the model explains them
 _TURNS = 4
 _STABLE = 0.002
@@ -119,7 +118,7 @@ def _repair(
     wrong, spoilt = np.zeros_like(seen), np.zeros(view.count, dtype=bool)
     exactly = None
     if suspicion is not None:
-        exactly = _exactly(view, seen, suspicion.wrong, candidates, sample, learned, options, rng)
+        exactly = settle_exactly(view, seen, suspicion.wrong, candidates, sample, learned, options.completion_rank, rng)
     if exactly is not None:
         wrong, spoilt, learned = exactly
         good = seen & ~wrong
@@ -162,38 +161,6 @@ def _repair(
     return Repaired(
         points, kept, confidence, report, _warnings(report, seen), doubt, doubt_level=level, noisy=noisy, good=good
     )
-
-
-def _exactly(
-    view: View,
-    seen: np.ndarray,
-    suspected: np.ndarray,
-    candidates: np.ndarray,
-    sample: np.ndarray,
-    learned: Learned,
-    options: RepairOptions,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray, Learned] | None:
-    """Wrong entries (F, P) of exact tracks, points (P,) that no verdict makes fit, and a model of clean points.
-
-    ``None`` where the tracks are not exact, or too few of their points are clean.
-    """
-    if learned.model.variance > NEARLY**2 or view.count < _LEAST_EXACT * _SAMPLE:
-        return None
-    for turn in range(_TURNS):
-        found = exact_verdicts(view, seen, suspected, learned.model)
-        if is_exact(learned.model) and (turn > 0 or not found.wrong.any()):
-            return found.wrong, ~found.clean, learned
-        suspected = suspected | found.wrong
-        others = found.clean & candidates
-        others[sample] = False
-        if np.count_nonzero(others) < _SAMPLE:
-            return None
-        sample = np.sort(rng.choice(np.flatnonzero(others), size=_SAMPLE, replace=False))
-        good = (seen & ~found.wrong)[:, sample]
-        part = view.columns(sample) * good[:, None]
-        learned = learn(part, good, options.completion_rank, rng=rng, monitor=lambda _: None)
-    return None
 
 
 def _part(monitor: Callable[[float], None], start: float, share: float) -> Callable[[float], None]:
