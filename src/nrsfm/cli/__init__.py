@@ -17,6 +17,7 @@ VERBS = {
     "evaluate": "a reconstruction against the truth, under every alignment",
     "info": "what a file holds",
     "export": "shapes and cameras as PLY, OBJ, animated glTF, USD, CSV or npz",
+    "view": "shapes and cameras in the browser: play, turn, colour, compare",
     "methods": "the methods, what they assume and what they cost",
     "datasets": "the benchmark sequences that can be read, and which are here",
     "experiment": "the tables and figures of the paper, computed, drawn and judged",
