@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nrsfm.viewing.raster import rasterise_discs, rasterise_triangles
@@ -18,6 +18,7 @@ def picture(width, height, hits):
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), size=st.floats(0.5, 60.0))
+@example(seed=265, size=51.57421875)  # a pixel 3e-4 beside an edge: single precision puts it on the other side
 def test_triangles_match_a_point_by_point_test(seed, size):
     rng = np.random.default_rng(seed)
     width, height, count = 40, 30, 6
@@ -34,7 +35,8 @@ def test_triangles_match_a_point_by_point_test(seed, size):
     )
     for i, (a, b, c) in enumerate(corners):
         sides = np.stack([(q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) for p, q in ((a, b), (b, c), (c, a))])
-        sure &= (np.abs(sides) > 1e-2).all(axis=0)  # pixels on an edge may fall either way
+        length = np.linalg.norm([b - a, c - b, a - c], axis=1)[:, None, None]
+        sure &= (np.abs(sides) > 1e-3 * np.maximum(length, 1.0)).all(axis=0)  # pixels on an edge may fall either way
         inside = ((sides > 0).all(axis=0) | (sides < 0).all(axis=0)) & (depth[i] < best)
         want[inside], best[inside] = i, depth[i]
     np.testing.assert_array_equal(got[sure], want[sure])
