@@ -15,6 +15,7 @@ VERBS = {
     "demo": "reconstruct a built-in sequence, score it and draw it",
     "reconstruct": "tracks to shapes and cameras",
     "evaluate": "a reconstruction against the truth, under every alignment",
+    "track": "a video to dense tracks",
     "info": "what a file holds",
     "export": "shapes and cameras as PLY, OBJ, animated glTF, USD, CSV or npz",
     "view": "shapes and cameras in the browser: play, turn, colour, compare",
