@@ -31,7 +31,7 @@ from nrsfm.uncertainty import UncertaintyOptions
 logger = logging.getLogger(__name__)
 
 _PLAIN = "geometry-aware"  # bends least of perspective into the shapes
-_SECOND_OPINION = 1_000_000  # entries up to which it is asked as well, where the default method shows no perspective
+_SECOND_OPINION = 1_000_000  # entries up to which it is asked first whether there is perspective
 
 STAGE_OPTIONS: dict[str, type] = {
     "run": PipelineOptions,
@@ -196,8 +196,8 @@ def _with_holes(
             return result, perspective, repaired
         if repaired.noisy and last:
             break
-        with stages("resection"), single_thread():
-            found = resect(result, _columns(tracks.points, kept), good[:, kept], result.diagnostics["noise"])
+        with stages("resection") as advance, single_thread():
+            found = resect(result, _columns(tracks.points, kept), good[:, kept], result.diagnostics["noise"], advance)
         overlooked[:, kept] = found.wrong
         clean = trusted & ~overlooked.any(axis=0)
         if repaired.noisy:

@@ -53,8 +53,8 @@ def with_perspective(
     first
         ``solve(points)`` where it is at hand already.
     second
-        Another affine reconstruction of the points, which is asked where the first shows no perspective: shapes that
-        follow the tracks closely have bent what perspective did into themselves.
+        Another affine reconstruction of the points, which is judged before the first: shapes that follow the tracks
+        closely have bent what perspective did into themselves. The first is judged where it shows nothing.
     final
         ``"average"`` returns the mean of the shapes of ``solve`` and of the perspective model, and of it with the
         most likely shapes near it, ``"model"`` those of the model, ``"solve"`` those of ``solve``, where perspective
@@ -70,9 +70,10 @@ def with_perspective(
     result = solve(points) if first is None else first
     if options.perspective == "off":
         return result, {"undone": False, "reason": "off"}
-    finding, judged = find_perspective(points, result, options.intrinsics, visible), result
-    if not finding.decided and second is not None:
-        judged = second()
+    judged = result if second is None else second()
+    finding = find_perspective(points, judged, options.intrinsics, visible)
+    if not finding.decided and judged is not result:
+        judged = result
         finding = find_perspective(points, judged, options.intrinsics, visible)
     report: dict[str, Any] = {
         "undone": False,
@@ -85,7 +86,8 @@ def with_perspective(
     seen = averaged_shapes(points, judged, finding.intrinsics, finding.flip, visible)
     if seen is None:
         report["reason"] = "the perspective model has no solution"
-        return (judged.mirrored() if finding.flip else judged), report
+        proven = judged.mirrored() if finding.flip else judged
+        return _in_mirror(result, _camera_shapes(proven)), report
     return _undone(points, solve, finding.intrinsics, seen, result, report, final)
 
 

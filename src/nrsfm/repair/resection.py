@@ -14,6 +14,7 @@ Cost: linear in P, by chunks. Ours; the regression is resection with a prior.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,10 +58,16 @@ def trusted_points(repaired: Repaired, frames: int) -> np.ndarray:
     return repaired.kept & (doubt <= level)
 
 
-def resect(result: Reconstruction, points: np.ndarray, seen: np.ndarray, noise: float) -> Resection:
+def resect(
+    result: Reconstruction,
+    points: np.ndarray,
+    seen: np.ndarray,
+    noise: float,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Resection:
     """Shapes of points (F, P, 2) where ``seen`` (F, P), in the distribution of the shapes of ``result``.
 
-    ``noise``: standard deviation of a coordinate, in the tracks' unit.
+    ``noise``: standard deviation of a coordinate, in the tracks' unit. ``progress`` is told the part that is done.
     """
     frames, count = seen.shape
     basis, mean, spread = _distribution(result, noise)
@@ -101,6 +108,7 @@ def resect(result: Reconstruction, points: np.ndarray, seen: np.ndarray, noise: 
         shapes[:, part] = np.einsum("fk,nka->fna", basis, flat.reshape(-1, terms, 3))
         tilted = np.einsum("fk,nkl,fl->fn", depths, inverse, depths, optimize=True)
         deviation[:, part] = np.sqrt(np.maximum(tilted, 0.0) + floor**2)
+        progress(part.stop / count)
     return Resection(shapes, deviation, wrong)
 
 
