@@ -67,7 +67,7 @@ def _errors(found, motion: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("method", "mean"), [("subspace", 0.35), ("dis", 0.5)])
 def test_known_motion_is_found(video, method, mean):
     frames, mask, motion = video
-    found = track(frames, mask, 0, method)
+    found = track(frames, mask, 0, method, rounds=4, fine=12, sweeps=1)
     assert _errors(found, motion).mean() < mean
     assert found.tracks.visible.mean() > 0.9
     np.testing.assert_array_equal(found.tracks.points[0], found.layout.pixels)
@@ -78,7 +78,7 @@ def test_corrected_chain_beats_the_naive_one(video):
     frames, mask, motion = video
     noisy = frames + np.random.default_rng(0).normal(0, 0.03, frames.shape).astype(np.float32)
     last = [
-        _errors(track(noisy, mask, 0, method, rounds=4, fine=1), motion)[8:].mean()
+        _errors(track(noisy, mask, 0, method, rounds=4, fine=4), motion)[8:].mean()
         for method in ("naive", "dis", "subspace")
     ]
     assert last[1] < 0.8 * last[0]
@@ -95,10 +95,12 @@ def test_what_a_disc_hides_is_marked_and_still_followed(video):
         inside = (x - 48) ** 2 + (y - 48) ** 2 < 14**2 if 5 <= f <= 9 else np.zeros((SIZE, SIZE), dtype=bool)
         covered[f][inside] = noise[inside]
         hidden.append(inside)
-    found = track(covered, mask, 0, rounds=5, fine=0)
+    found = track(covered, mask, 0, rounds=5, fine=10)
     place = np.round(found.tracks.points).astype(int)
     truly = np.stack([hidden[f][place[f, :, 1], place[f, :, 0]] for f in range(len(frames))])
-    assert found.tracks.visible[truly].mean() < 0.15
+    deep = truly & (np.linalg.norm(place - 48, axis=2) < 6)  # a window at the rim sees both
+    assert found.tracks.visible[deep].mean() < 0.05
+    assert found.tracks.visible[truly].mean() < 0.35
     assert found.tracks.visible[~truly].mean() > 0.85
     assert np.median(_errors(found, motion)[truly]) < 1.0
 

@@ -13,11 +13,12 @@ from nrsfm.errors import InputError, OptionError, suggest
 from nrsfm.numerics.threads import single_thread
 from nrsfm.options import split_options
 from nrsfm.progress import Report, silent
-from nrsfm.tracking import chaining, subspace
-from nrsfm.tracking.matching import Template, evened
+from nrsfm.tracking import chaining, photometric, subspace
+from nrsfm.tracking.matching import SMOOTH, Template, despeckled, evened, noise_level, smoothing
 from nrsfm.tracking.options import METHODS, TrackingOptions
 from nrsfm.tracking.result import Layout, TrackingDiagnostics, TrackingResult
-from nrsfm.tracking.visibility import judge
+from nrsfm.tracking.revisiting import revisit
+from nrsfm.tracking.visibility import judge, threshold
 from nrsfm.tracks import Tracks
 from nrsfm.video.libraries import import_cv2
 
@@ -78,9 +79,18 @@ def track(
             own = np.ones((height, width), dtype=bool) if own is None else own
             if not own[::step, ::step].any():
                 raise InputError(f"mask: at least one point of the grid is needed in frame {number}, received none")
+            fitted = method == "subspace" and count > 2 and chosen.fine > 0
             images = np.empty((count, height, width), dtype=np.uint8)
+            finer = np.empty_like(images) if fitted else images
             for f in range(count):
-                images[f] = evened(_grey(frames, f), chosen.normalisation)
+                image = _grey(frames, f)
+                noise = 0.0
+                if method != "naive":
+                    image = despeckled(image)
+                    noise = noise_level(image)
+                images[f] = evened(image, chosen.normalisation, smoothing(SMOOTH, noise))
+                if fitted:
+                    finer[f] = evened(image, photometric.FINE_BAND[0], smoothing(photometric.FINE_BAND[1], noise))
                 progress("reading frames", (f + 1) / count)
         template = Template(images, own, number, chosen)
         with _timed(seconds, "chaining"):
@@ -88,9 +98,18 @@ def track(
             flows, trusts = chain(template, _counter(progress, "pairwise flow", count - 1))
         rank, residual = 0, float("nan")
         if method == "subspace" and count > 2:
+            with _timed(seconds, "revisiting"):
+                counter = _counter(progress, "finding again", chosen.sweeps * count)
+                flows, trusts = revisit(template, flows, trusts, chosen.sweeps, counter)
             with _timed(seconds, "subspace"):
-                counter = _counter(progress, "subspace flow", (chosen.rounds + chosen.fine) * count)
+                counter = _counter(progress, "subspace flow", chosen.rounds * count)
                 flows, trusts, found = subspace.refine(template, flows, trusts, counter)
+                rank, residual = found.basis.shape[1] - 1, found.residual
+        if fitted:
+            with _timed(seconds, "photometric fit"):
+                counter = _counter(progress, "photometric fit", chosen.fine * count)
+                fine = Template(finer, own, number, chosen, photometric.FINE_WINDOW)
+                found = photometric.fit(template, fine, flows, counter)
                 rank, residual = found.basis.shape[1] - 1, found.residual
         with _timed(seconds, "visibility"):
             every = masks if masks is not None and masks.ndim == 3 else None
@@ -115,12 +134,13 @@ def _collect(
     visible = np.empty(points.shape[:2], dtype=bool)
     confidence = np.empty(points.shape[:2], dtype=np.float32)
     scores = np.full((2, count), np.nan)
+    least = threshold(template, flows)
     for f in range(count):
         points[f] = pixels + flows[f][y, x]
         if f == template.reference:
             visible[f], confidence[f], scores[:, f] = True, 1.0, (1.0, 0.0)
             continue
-        seen, sure = judge(template, f, flows[f], None if masks is None else masks[f])
+        seen, sure = judge(template, f, flows[f], None if masks is None else masks[f], least)
         visible[f], confidence[f] = seen[y, x], sure[y, x]
         if visible[f].any():
             warped = template.sample(template.frames[f], flows[f])

@@ -15,10 +15,12 @@ import numpy as np
 from nrsfm.tracking.options import TrackingOptions
 from nrsfm.video.libraries import import_cv2
 
+SMOOTH = 0.7  # pixels: deviation of the least smoothing
 _PAD = 16  # pixels around the mask
 _WINDOW = 4.0  # pixels: deviation of the window of a local correlation
-_FLOOR = 30.0  # variance of grey levels that counts as no texture
+FLOOR = 30.0  # variance of grey levels that counts as no texture
 _CONTRAST = 40.0  # grey levels of one deviation after normalisation
+_NOISE = 8.0  # grey levels of noise that the least smoothing is for
 _AGREE = 1.0  # pixels between forward and backward flow of a believed correction
 _SURE = (0.35, 0.75)  # likeness at which trust begins, and is full
 
@@ -32,11 +34,11 @@ def pairwise_flow() -> Any:
     return found
 
 
-def evened(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Return a grey image (H, W) uint8 with local mean 128 and local deviation about 40."""
+def evened(image: np.ndarray, sigma: float, smooth_by: float = SMOOTH) -> np.ndarray:
+    """Return a grey image (H, W), smoothed a little, as uint8 with local mean 128 and local deviation about 40."""
     cv2 = import_cv2()
 
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), smooth_by)
     centred = smooth - cv2.GaussianBlur(smooth, (0, 0), sigma)
     deviation = np.sqrt(cv2.GaussianBlur(centred * centred, (0, 0), sigma))
     found: np.ndarray = np.clip(128 + _CONTRAST * centred / (deviation + 4), 0, 255).astype(np.uint8)
@@ -56,10 +58,19 @@ class Template:
         Its number.
     options
         See :class:`~nrsfm.tracking.options.TrackingOptions`.
+    window
+        Deviation of the window of a local correlation, pixels.
     """
 
-    def __init__(self, frames: np.ndarray, mask: np.ndarray, reference: int, options: TrackingOptions) -> None:
-        self.frames, self.reference, self.options = frames, reference, options
+    def __init__(
+        self,
+        frames: np.ndarray,
+        mask: np.ndarray,
+        reference: int,
+        options: TrackingOptions,
+        window: float = _WINDOW,
+    ) -> None:
+        self.frames, self.reference, self.options, self.window = frames, reference, options, window
         self.height, self.width = mask.shape
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         self.top, self.left = max(int(rows[0]) - _PAD, 0), max(int(columns[0]) - _PAD, 0)
@@ -72,18 +83,20 @@ class Template:
         self.position = self._own + np.array([self.left, self.top], dtype=np.float32)
         self.image = np.ascontiguousarray(frames[reference][box])
         self.flow = pairwise_flow()
-        self._norm = self._blur(self.weight) + 1e-3
-        self._centred, self.variance = self._moments(self.image.astype(np.float32))
+        self._norm = self.blur(self.weight) + 1e-3
+        self.centred, self.variance = self.moments(self.image.astype(np.float32))
 
-    def _blur(self, image: np.ndarray) -> np.ndarray:
+    def blur(self, image: np.ndarray) -> np.ndarray:
+        """Return the sum over the window."""
         cv2 = import_cv2()
 
-        found: np.ndarray = cv2.GaussianBlur(image, (0, 0), _WINDOW, borderType=cv2.BORDER_CONSTANT)
+        found: np.ndarray = cv2.GaussianBlur(image, (0, 0), self.window, borderType=cv2.BORDER_CONSTANT)
         return found
 
-    def _moments(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        centred = image - self._blur(image * self.weight) / self._norm
-        return centred, self._blur(centred * centred * self.weight) / self._norm
+    def moments(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return an image (h, w) less its local mean, and its local variance (h, w)."""
+        centred = image - self.blur(image * self.weight) / self._norm
+        return centred, self.blur(centred * centred * self.weight) / self._norm
 
     def sample(self, image: np.ndarray, flow: np.ndarray) -> np.ndarray:
         """Return an image or field of a whole frame as seen at the reference pixels moved by ``flow``."""
@@ -96,16 +109,19 @@ class Template:
 
     def likeness(self, warped: np.ndarray) -> np.ndarray:
         """Return the local correlation (h, w) of a warped frame with the reference, lower where there is no texture."""
-        centred, variance = self._moments(warped.astype(np.float32))
-        covariance = self._blur(self._centred * centred * self.weight) / self._norm
-        found: np.ndarray = covariance / np.sqrt((self.variance + _FLOOR) * (variance + _FLOOR))
+        centred, variance = self.moments(warped.astype(np.float32))
+        covariance = self.blur(self.centred * centred * self.weight) / self._norm
+        found: np.ndarray = covariance / np.sqrt((self.variance + FLOOR) * (variance + FLOOR))
         return found
 
-    def trust(self, likeness: np.ndarray, flow: np.ndarray) -> np.ndarray:
-        """Return likeness as trust in [0, 1], 0 outside the mask and where ``flow`` leaves the image."""
+    def trust(self, likeness: np.ndarray, flow: np.ndarray, sure: tuple[float, float] = _SURE) -> np.ndarray:
+        """Return likeness as trust in [0, 1], 0 outside the mask and where ``flow`` leaves the image.
+
+        ``sure`` is the likeness at which trust begins, and at which it is full.
+        """
         place = self.position + flow
         seen = ((place >= 0) & (place <= (self.width - 1, self.height - 1))).all(axis=2)
-        found: np.ndarray = np.clip((likeness - _SURE[0]) / (_SURE[1] - _SURE[0]), 0, 1) * self.weight * seen
+        found: np.ndarray = np.clip((likeness - sure[0]) / (sure[1] - sure[0]), 0, 1) * self.weight * seen
         return found
 
     def seen(self, frame: int, flow: np.ndarray) -> np.ndarray:
@@ -145,3 +161,37 @@ class Template:
         found = flow + rest * believed[..., None]
         trust = self.trust(np.where(believed, after, before), found) * np.where(agree, 1, 0.3)
         return found, trust.astype(np.float32)
+
+
+def despeckled(image: np.ndarray) -> np.ndarray:
+    """Return a grey image (H, W) float32 in [0, 255] with single pixels that stick out replaced by their median.
+
+    Ours: such a pixel is the brightest or darkest of its 3 × 3 neighbours, and differs from their median by more than
+    40 grey levels and more than six deviations of what is usual in the image, so that texture and Gaussian noise stay.
+    """
+    cv2 = import_cv2()
+
+    median = cv2.medianBlur(image.astype(np.float32), 3)
+    away = np.abs(image - median)
+    usual = 1.4826 * float(np.median(away))
+    square = np.ones((3, 3), dtype=np.uint8)
+    extreme = (image >= cv2.dilate(image, square)) | (image <= cv2.erode(image, square))
+    found: np.ndarray = np.where(extreme & (away > max(40.0, 6 * usual)), median, image)
+    return found
+
+
+def noise_level(image: np.ndarray) -> float:
+    """Return the deviation of white noise in a grey image (H, W), grey levels.
+
+    From the differences that a constant and a slope do not have (Immerkær: "Fast Noise Variance Estimation", Computer
+    Vision and Image Understanding 64, 1996), by their median.
+    """
+    cv2 = import_cv2()
+
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32) / 6
+    return 1.4826 * float(np.median(np.abs(cv2.filter2D(image.astype(np.float32), -1, kernel))))
+
+
+def smoothing(least: float, noise: float) -> float:
+    """Return the deviation of the smoothing in pixels that suits noise of a deviation in grey levels. Ours."""
+    return float(np.clip(least * np.sqrt(noise / _NOISE), least, 2.0))

@@ -19,11 +19,14 @@ class TrackingOptions:
     """Options of :func:`nrsfm.tracking.track`."""
 
     rank: int = option(
-        28, "largest number of trajectory basis vectors; the rounds grow towards it", symbol="R", minimum=1
+        36, "largest number of trajectory basis vectors; the rounds grow towards it", symbol="R", minimum=1
     )
-    rounds: int = option(8, "alternations between the trajectory subspace and matching", minimum=1, maximum=100)
+    rounds: int = option(5, "alternations between the trajectory subspace and matching", minimum=1, maximum=100)
     fine: int = option(
-        3, "rounds added at the end that match at full instead of half resolution", minimum=0, maximum=100
+        28, "steps of the photometric fit of basis and coefficients that follows", minimum=0, maximum=200
+    )
+    sweeps: int = option(
+        3, "passes over the video that look for what the chain of pairwise flow lost", minimum=0, maximum=10
     )
     grid: int = option(
         4, "pixels between the samples on which coefficients of the basis are held", minimum=1, maximum=32
@@ -38,5 +41,8 @@ class TrackingOptions:
         1.0, "pixels: scale of the disagreement of forward and backward flow at which a step loses its trust", above=0
     )
     likeness: float = option(
-        0.47, "local correlation with the reference above which a point counts as visible", minimum=-1, maximum=1
+        0.35,
+        "local correlation with the reference above which a point counts as visible; lower in noise, as the best is",
+        minimum=-1,
+        maximum=1,
     )

@@ -67,7 +67,8 @@ class TrackingDiagnostics:
     rank
         Number of basis trajectories, 0 where there is no subspace.
     residual
-        Root mean square distance of trusted flow from the subspace, pixels; NaN where there is none.
+        Root mean square distance of trusted flow from the subspace, pixels, or after the photometric fit what windows
+        of the images would still move it by; NaN where there is no subspace.
     seconds
         Wall time of each stage, by name.
     options

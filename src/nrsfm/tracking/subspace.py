@@ -66,7 +66,7 @@ class Subspace:
         return found
 
 
-def _basis(tracks: np.ndarray, weights: np.ndarray, rank: int) -> np.ndarray:
+def principal(tracks: np.ndarray, weights: np.ndarray, rank: int) -> np.ndarray:
     """Mean and principal trajectories scaled by their deviations, (2F, 1 + R), of weighted tracks (2F, n)."""
     good = weights >= np.quantile(weights, 0.3)
     chosen, share = tracks[:, good], weights[good] + 1e-6
@@ -78,7 +78,8 @@ def _basis(tracks: np.ndarray, weights: np.ndarray, rank: int) -> np.ndarray:
     return np.concatenate([mean, scaled], axis=1).astype(np.float32)
 
 
-def _smoothed(coefficients: np.ndarray, inside: np.ndarray, trust: np.ndarray, sigma: float) -> np.ndarray:
+def smoothed(coefficients: np.ndarray, inside: np.ndarray, trust: np.ndarray, sigma: float) -> np.ndarray:
+    """Return coefficients (n, R) as the trust-weighted average of their surroundings."""
     cv2 = import_cv2()
 
     plane = np.zeros(inside.shape, dtype=np.float32)
@@ -104,7 +105,7 @@ def estimate(
     mean_weight = weights.mean(axis=0)
     model, coefficients = tracks, np.zeros((0, 0), dtype=np.float32)
     for sweep in range(_SWEEPS):
-        basis = _basis(model, mean_weight, rank)
+        basis = principal(model, mean_weight, rank)
         size = basis.shape[1]
         pairs = basis.reshape(frames, 2, size)
         products = np.einsum("fir,fis->frs", pairs, pairs).reshape(frames, size * size)
@@ -120,7 +121,7 @@ def estimate(
         unit = np.eye(size, dtype=np.float32)
         for inner in range(_INNER):
             first = not sweep and not inner
-            near = coefficients if first else _smoothed(coefficients, grid, mean_weight + 0.02, sigma)
+            near = coefficients if first else smoothed(coefficients, grid, mean_weight + 0.02, sigma)
             pull = np.float32(1.0 if first else _SMOOTH)
             solved = np.linalg.solve(normal + pull * unit, (right + pull * near)[..., None])
             coefficients = solved[..., 0].astype(np.float32)
@@ -147,17 +148,22 @@ def _match(
     return model + keep * (flow - model), trust.astype(np.float32)
 
 
+def samples_apart(template: Template) -> int:
+    """Return the pixels between samples: fewer than the option where the mask is small."""
+    options = template.options
+    step = options.grid
+    while step > 1 and np.count_nonzero(template.inside[::step, ::step]) < _FEWEST * options.rank:
+        step -= 1
+    return step
+
+
 def refine(
     template: Template, flows: np.ndarray, trusts: np.ndarray, advance: Callable[[], None]
 ) -> tuple[np.ndarray, np.ndarray, Subspace]:
     """Alternate between subspace and matching; ``flows`` and ``trusts`` are changed in place."""
     options = template.options
-    step = options.grid
-    while step > 1 and np.count_nonzero(template.inside[::step, ::step]) < _FEWEST * options.rank:
-        step -= 1
-    for n in range(options.rounds + options.fine):
-        if n == options.rounds:
-            template.flow.setFinestScale(0)
+    step = samples_apart(template)
+    for n in range(options.rounds):
         rank, sigma, deviation = _ROUNDS[min(n, len(_ROUNDS) - 1)]
         rank = min(rank, options.rank)
         found = estimate(flows, trusts, template.inside, step, rank, sigma, deviation)
