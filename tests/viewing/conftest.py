@@ -1,5 +1,7 @@
 """Small sequences of every kind that the pictures must cope with."""
 
+import os
+import shutil
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +9,8 @@ import pytest
 
 from nrsfm.datasets.synthetic import face_sequence
 from nrsfm.reconstruction import Reconstruction
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
 
 @dataclass
@@ -49,6 +53,9 @@ def make_case(frames: int, points: int, *, faces: bool = True, edges: bool = Fal
 def coarse_panels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few pixels per panel: the tests look at what is drawn, not at how finely."""
     monkeypatch.setattr("nrsfm.viewing.panels._PIXELS_PER_INCH", 40)
+    monkeypatch.setattr("nrsfm.viewing.animation.panels._FINER", 1)
+    for name in ("_PIXELS", "_LARGE", "_POSTER"):
+        monkeypatch.setattr(f"nrsfm.viewing.report.pictures.{name}", 80)
 
 
 @pytest.fixture(scope="session")
@@ -61,3 +68,20 @@ def cases() -> dict[str, Case]:
         "tiny": make_case(4, 5, faces=False),
         "two frames": make_case(2, 60),
     }
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A running browser, or a skip that says what is not there."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="PLAYWRIGHT ABSENT: viewer and report are not tested in a browser"
+    )
+    place = os.environ.get("NRSFM_CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
+    if place is None:
+        pytest.skip(
+            "NO BROWSER: no Chromium on this machine (set NRSFM_CHROMIUM), viewer and report are not tested in one"
+        )
+    with playwright.sync_playwright() as driver:
+        running = driver.chromium.launch(executable_path=place, args=["--no-sandbox", "--enable-unsafe-swiftshader"])
+        yield running
+        running.close()

@@ -2,8 +2,6 @@
 
 import contextlib
 import io
-import os
-import shutil
 import time
 
 import numpy as np
@@ -12,7 +10,6 @@ import pytest
 from nrsfm import Reconstruction, Tracks
 from nrsfm.viewing.viewer import ViewServer, make_content
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FRAMES, ROWS, COLUMNS = 12, 30, 40
 
 
@@ -34,21 +31,6 @@ def sheet():
         shapes, turns, np.full((FRAMES, 2), 240.0), np.ones(FRAMES), diagnostics={"warnings": ["a warning"]}
     )
     return result, np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """A running browser, or a skip that says what is not there."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="PLAYWRIGHT ABSENT: the viewer is not tested in a browser"
-    )
-    place = os.environ.get("NRSFM_CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
-    if place is None:
-        pytest.skip("NO BROWSER: no Chromium on this machine (set NRSFM_CHROMIUM), the viewer is not tested in one")
-    with playwright.sync_playwright() as driver:
-        running = driver.chromium.launch(executable_path=place, args=["--no-sandbox", "--enable-unsafe-swiftshader"])
-        yield running
-        running.close()
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,8 @@ RECONSTRUCTION, CONFIG, METRICS, LOG = "reconstruction.npz", "config.json", "met
 PICTURES = ("overview", "shapes", "error", "uncertainty", "groups", "convergence", "tracks")
 OUTPUT_NAMES = (RECONSTRUCTION, CONFIG, METRICS, LOG, *(f"{name}.png" for name in PICTURES))
 """All that a run writes, and so all that overwriting an output may delete."""
+REPORT = "report.html"
+"""What ``nrsfm report`` adds: of the old run, so overwriting deletes it as well."""
 
 _LIBRARIES = ("numpy", "scipy", "threadpoolctl", "h5py", "matplotlib")
 
@@ -42,9 +44,9 @@ def versions() -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def log_to(path: Path, *, debug: bool = False) -> Iterator[logging.Logger]:
+def log_to(path: Path, *, debug: bool = False, mode: str = "x") -> Iterator[logging.Logger]:
     """Send the package's log, and Python's warnings, to a file for the length of the ``with`` block."""
-    handler = logging.FileHandler(path, mode="x", encoding="utf-8")
+    handler = logging.FileHandler(path, mode=mode, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     package, warned = logging.getLogger("nrsfm"), logging.getLogger("py.warnings")
     level = package.level

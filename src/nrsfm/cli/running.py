@@ -19,6 +19,7 @@ from nrsfm.cli.outputs import (
     METRICS,
     OUTPUT_NAMES,
     RECONSTRUCTION,
+    REPORT,
     Stages,
     limited_threads,
     log_to,
@@ -59,17 +60,21 @@ class Job:
     debug: bool
 
 
-def parse(parser: Parser, words: Sequence[str]) -> tuple[argparse.Namespace, Job]:
+def parse(
+    parser: Parser, words: Sequence[str], *, overwrite: bool = True, apart: str = ""
+) -> tuple[argparse.Namespace, Job]:
     """Add the arguments of every run and those of the chosen method, and parse.
 
-    The method is read first, because it decides which options there are.
+    The method is read first, because it decides which options there are. Without ``overwrite`` there is no such flag;
+    options that begin with ``apart`` are not the method's.
     """
     method = _chosen_method(words)
     classes = _option_classes(method)
     parser.add_argument("--method", default=method, metavar="M", help=f"see nrsfm methods [default: {DEFAULT_METHOD}]")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of every random choice [default: 0]")
     parser.add_argument("--threads", type=int, metavar="N", help="threads of the numerical libraries [default: theirs]")
-    parser.add_argument("--overwrite", action="store_true", help="replace a finished output of that name")
+    if overwrite:
+        parser.add_argument("--overwrite", action="store_true", help="replace a finished output of that name")
     parser.add_argument("--no-pictures", action="store_true", help="draw nothing")
     parser.add_argument("--quiet", action="store_true", help="no progress and no summary")
     for title, cls in classes.items():
@@ -79,7 +84,7 @@ def parse(parser: Parser, words: Sequence[str]) -> tuple[argparse.Namespace, Job
         value, least = getattr(given, name), 1 if name == "threads" else 0
         if value is not None and value < least:
             raise OptionError(f"option '--{name}' must be at least {least}, received {value}")
-    options = given_options(given)
+    options = {name: value for name, value in given_options(given).items() if not apart or not name.startswith(apart)}
     split_options(tuple(classes.values()), options, f"method '{method}'")  # checked before anything is read
     job = Job(
         command=tuple(words),
@@ -88,7 +93,7 @@ def parse(parser: Parser, words: Sequence[str]) -> tuple[argparse.Namespace, Job
         out=Path(given.out),
         seed=given.seed,
         threads=given.threads,
-        overwrite=given.overwrite,
+        overwrite=overwrite and given.overwrite,
         pictures=not given.no_pictures,
         quiet=given.quiet,
         debug=given.debug,
@@ -137,7 +142,9 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
     began = time.perf_counter()
     with contextlib.ExitStack() as stack:
         # The folder comes first: a path that cannot be written is found before anything is computed.
-        folder = stack.enter_context(atomic_folder(job.out, overwrite=job.overwrite, replaceable=OUTPUT_NAMES))
+        folder = stack.enter_context(
+            atomic_folder(job.out, overwrite=job.overwrite, replaceable=(*OUTPUT_NAMES, REPORT))
+        )
         log = stack.enter_context(log_to(folder / LOG, debug=job.debug))
         command = shlex.join(["nrsfm", verb, *job.command])
         log.info("%s", command)
@@ -184,7 +191,9 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
         stages.close()
         log.info("done in %.2f s", time.perf_counter() - began)
     if not job.quiet:
-        print(summary(result, found, stages.seconds, warnings, job.out))
+        # Stages inside one another are told apart by the pipeline only.
+        took = stages.seconds | result.diagnostics.get("seconds", {})
+        print(summary(result, found, took, warnings, job.out))
     return 0
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nrsfm.cli.arguments import Parser
-from nrsfm.cli.reconstruct import add_reading, add_truth, drawing_aids
+from nrsfm.cli.reconstruct import add_reading, add_truth, drawing_aids, read_tracks
 from nrsfm.errors import FileError, InputError, NrsfmError, OptionError
 
 if TYPE_CHECKING:
@@ -69,7 +69,6 @@ def _explain(flag: str) -> str | None:
 
 
 def _content(given: Any, report: Any) -> Any:
-    from nrsfm.files import load_tracks
     from nrsfm.reconstruction import load_reconstruction
     from nrsfm.viewing.viewer import make_content, open_pictures
 
@@ -78,12 +77,12 @@ def _content(given: Any, report: Any) -> Any:
         source /= _RECONSTRUCTION
     report("reading files", None)
     result = load_reconstruction(source)
-    tracks = load_tracks(given.tracks, order=given.order, name=given.array) if given.tracks else None
+    tracks = read_tracks(given.tracks, given) if given.tracks else None
     truth, valid = _truth(given, result)
     aids = drawing_aids(given.tracks, given.truth)
     pictures = open_pictures(given.images, result.n_frames, report=report) if given.images else None
     report("finding the surface", None)
-    faces, surface, warnings = _faces(given.faces, aids.get("faces"), aids.get("edges"), result)
+    faces, surface, warnings = shown_faces(given.faces, aids.get("faces"), aids.get("edges"), result)
     report("colouring", None)
     return make_content(
         result,
@@ -94,8 +93,8 @@ def _content(given: Any, report: Any) -> Any:
         valid=valid,
         pictures=pictures,
         faces=faces,
-        edges=_edges(aids.get("edges"), result),
-        colours=_colours(given.tracks, given.truth),
+        edges=shown_edges(aids.get("edges"), result),
+        colours=given_colours(given.tracks, given.truth),
         surface=surface,
         warnings=warnings,
     )
@@ -116,7 +115,7 @@ def _truth(given: Any, result: Reconstruction) -> tuple[np.ndarray | None, np.nd
     return truth.shapes, truth.valid
 
 
-def _faces(
+def shown_faces(
     asked: str | None, came: Any, edges: Any, result: Reconstruction
 ) -> tuple[np.ndarray | None, str, tuple[str, ...]]:
     """Triangles, where they come from, and what to know; unasked, what cannot be a surface is shown as points."""
@@ -140,7 +139,8 @@ def _faces(
     return (None, "", ()) if surface is None else (surface.faces, surface.origin, surface.warnings)
 
 
-def _edges(edges: Any, result: Reconstruction) -> np.ndarray | None:
+def shown_edges(edges: Any, result: Reconstruction) -> np.ndarray | None:
+    """Lines (E, 2) between points, checked; ``None`` where there are none."""
     import numpy as np
 
     if edges is None:
@@ -153,7 +153,7 @@ def _edges(edges: Any, result: Reconstruction) -> np.ndarray | None:
     return lines if lines.size else None
 
 
-def _colours(*paths: str | None) -> np.ndarray | None:
+def given_colours(*paths: str | None) -> np.ndarray | None:
     """The array of colours that a file brings along, the first of them."""
     from nrsfm.files.container import open_arrays
 

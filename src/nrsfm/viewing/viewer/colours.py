@@ -147,7 +147,7 @@ def colour_maps() -> dict[str, list[int]]:
     trust = rgb(OUTLIER) * (1 - half[0]) + middle * (half[0] - half[1]) + 0.82 * rgb(SEEN) * half[1]
     maps = {
         "error": np.asarray(mpl.colormaps[ERROR_MAP](share))[:, :3],
-        "depth": np.asarray(mpl.colormaps["cividis"](1.0 - share))[:, :3],  # what is near is bright
+        "depth": np.asarray(mpl.colormaps["cividis"](1.0 - 0.9 * share))[:, :3],  # what is near is bright
         "trust": trust,
     }
     return {name: np.rint(255 * np.clip(colours, 0, 1)).astype(int).ravel().tolist() for name, colours in maps.items()}

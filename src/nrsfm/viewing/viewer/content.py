@@ -147,7 +147,7 @@ def make_content(
         "deviation": deviation_scale(result, kept),
     }
     there = {name: scale for name, scale in scales.items() if scale is not None}
-    fixed, texture = _fixed_colours(result, kept, tracks, pictures, colours)
+    fixed, texture = fixed_colours(result, kept, tracks, pictures, colours)
     drawn, measured = _drawn_tracks(result, kept, tracks)
     about = {
         "title": title,
@@ -185,7 +185,7 @@ def make_content(
     return Content(about, result, kept, centre, half, there, fixed, joined[0], joined[1], drawn, pictures)
 
 
-def _fixed_colours(
+def fixed_colours(
     result: Reconstruction, kept: np.ndarray, tracks: Any, pictures: Pictures | None, colours: Any
 ) -> tuple[dict[str, np.ndarray], str]:
     """Colours (N, 3) uint8 by name, and in words where those of the texture come from."""

@@ -1,10 +1,10 @@
 // The panel, the transport and the legend: they show what the view is, and change it.
 
 import { KEYS } from "./keys.js";
+import { legendOf, themeOf } from "./look.js";
 
 const element = (id) => document.getElementById(id);
 const number = (value) => value.toLocaleString("en");
-const short = (value) => Number(value.toPrecision(2)).toString().replace("-", "−");
 
 export class Controls {
   constructor(view, speeds) {
@@ -126,23 +126,15 @@ export class Controls {
     if (!found) return;
     element("colour").value = name;
     this.set({ colour: found });
-    const { scene } = this;
-    const scale = found.kind === "scale" || found.kind === "depth";
+    const legend = legendOf(this.scene, found);
     element("colour-note").textContent = found.note ?? "";
-    element("legend").hidden = !scale;
-    element("legend").parentElement.classList.toggle("with-legend", scale);
-    if (!scale) return;
-    const unit = found.has_unit && scene.unit ? ` (${scene.unit})` : "";
-    element("legend-name").textContent = found.label + unit;
-    const [low, high] = found.kind === "depth" ? scene.depth : [found.low, found.high];
-    const map = scene.maps[found.map];
-    const stops = Array.from({ length: 17 }, (_, k) => map.slice(3 * Math.round(k * 254 / 16)).slice(0, 3));
-    element("legend-bar").style.background = `linear-gradient(to right, ${stops.map((c) => `rgb(${c})`).join(", ")})`;
-    const ticks = [low, (low + high) / 2, high].map(short);
-    if (found.kind === "depth") [ticks[0], ticks[2]] = [`near ${ticks[0]}`, `${ticks[2]} far`];
-    else if (found.name !== "confidence") ticks[2] = `≥ ${ticks[2]}`;
-    element("legend-ticks").replaceChildren(...ticks.map((text) => paragraph(text, "span")));
-    element("legend-note").textContent = found.unknown ? "grey: not known" : "";
+    element("legend").hidden = !legend;
+    element("legend").parentElement.classList.toggle("with-legend", Boolean(legend));
+    if (!legend) return;
+    element("legend-name").textContent = legend.name;
+    element("legend-bar").style.background = legend.background;
+    element("legend-ticks").replaceChildren(...legend.ticks.map((text) => paragraph(text, "span")));
+    element("legend-note").textContent = legend.note;
   }
 
   input(on) {
@@ -173,19 +165,10 @@ export class Controls {
   }
 
   readTheme() {
-    const style = getComputedStyle(document.documentElement);
     const chosen = document.documentElement.dataset.theme;
     this.dark = chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
     element("theme").textContent = this.dark ? "Light" : "Dark";
-    const rgb = (text) => text.match(/[\d.]+/g).slice(0, 3).map((value) => Number(value) / 255);
-    const plain = this.scene.plain.match(/\w\w/g).map((pair) => parseInt(pair, 16) / 255);
-    this.view.stage.theme = {
-      paper: rgb(getComputedStyle(element("scene")).backgroundColor),
-      ink: rgb(style.color),
-      accent: this.dark ? [0.5, 0.7, 0.88] : [0.18, 0.43, 0.66],
-      grey: this.dark ? [0.36, 0.38, 0.41] : [0.74, 0.73, 0.71],
-      plain: this.dark ? plain : plain.map((value) => 0.97 * value),
-    };
+    this.view.stage.theme = themeOf(element("scene"), this.scene.plain, this.dark);
     this.view.change();
   }
 

@@ -2,12 +2,12 @@
 
 import { Controls } from "./controls.js";
 import { Picture } from "./picture.js";
+import { SPEEDS } from "./look.js";
 import { Stage } from "./stage.js";
 import { Store, fetchArray } from "./store.js";
 import { listenToKeys } from "./keys.js";
 import { listenToPointers } from "./pointers.js";
 
-const SPEEDS = [0.1, 0.25, 0.5, 1, 1.5, 2, 4];
 const element = (id) => document.getElementById(id);
 
 class View {

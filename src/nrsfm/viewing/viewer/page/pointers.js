@@ -1,6 +1,7 @@
-// Mouse, pen and fingers on the 3D picture: turn, move, zoom.
+// Mouse, pen and fingers on the 3D picture: turn, move, zoom. In a page that scrolls, the wheel may belong to the page:
+// ``takesWheel`` says, of an event, whether it zooms.
 
-export function listenToPointers(view) {
+export function listenToPointers(view, takesWheel = () => true) {
   const { stage } = view;
   const { canvas } = stage;
   const down = new Map();
@@ -35,6 +36,7 @@ export function listenToPointers(view) {
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("dblclick", () => (stage.reset(), view.change()));
   canvas.addEventListener("wheel", (event) => {
+    if (!takesWheel(event)) return;
     event.preventDefault();
     zoom(Math.exp(-0.0012 * event.deltaY * (event.deltaMode ? 30 : 1)));
     view.change();

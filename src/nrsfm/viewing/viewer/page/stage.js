@@ -7,7 +7,7 @@ import { inGoodOrder } from "./order.js";
 
 const SLOPE = Math.tan((11 * Math.PI) / 180); // half the field of view
 const OVER = new Float32Array([-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]); // upside down
-const START = { yaw: 0.42, pitch: 0.16 };
+export const START = { yaw: 0.42, pitch: 0.16 };
 
 // One program for each way to colour, lit or not: without a graphics card every step in it counts.
 const vertexText = (kind, lit) => `#version 300 es
