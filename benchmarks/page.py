@@ -21,6 +21,8 @@ from benchmarks import (
     speed,
     start,
     store,
+    tracking,
+    viewer,
 )
 from benchmarks.tables import NO, YES, Check, Fact, table
 from nrsfm.experiments.machine import in_words
@@ -39,6 +41,8 @@ SECTIONS: dict[str, ModuleType] = {
     "speed": speed,
     "scaling": scaling,
     "start": start,
+    "tracking": tracking,
+    "viewer": viewer,
 }
 
 

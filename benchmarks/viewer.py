@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import quiet
-from benchmarks.store import Context
+from benchmarks.store import Context, DataAbsentError
 from benchmarks.tables import Check, table
 from nrsfm import Reconstruction
 from nrsfm.datasets.synthetic import face_sequence
@@ -39,9 +39,13 @@ _STATE = """({distinct: nrsfmView.counts.distinct, now: performance.now(),
 
 def measure(_: Context | None = None) -> dict[str, Any]:
     """Play each case for a while."""
-    from playwright.sync_api import sync_playwright
-
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        raise DataAbsentError("no playwright to drive a browser with") from None
     place = os.environ.get("NRSFM_CHROMIUM") or shutil.which("chromium")
+    if place is None:
+        raise DataAbsentError("no Chromium (set NRSFM_CHROMIUM)")
     with ViewServer(_content(), port=0) as server, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=place, args=["--no-sandbox", "--enable-unsafe-swiftshader"])
         rows = {name: _play(browser, f"{server.address}#{words}") for name, words in _CASES.items()}

@@ -181,7 +181,7 @@ def test_empty_absent_and_folders(tmp_path, extension):
         load_tracks(path)
 
 
-@pytest.mark.parametrize("name", ["tracks", "tracks.pkl", "tracks.docx"])
+@pytest.mark.parametrize("name", ["tracks", "tracks.docx"])
 def test_unknown_extensions_list_the_known(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
     with pytest.raises(FileError, match=r"extensions \.npz, .* are known, received"):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from nrsfm.errors import FileError, InputError
+from nrsfm.files import load_tracks
 from nrsfm.files.trackers import load_tracker
 
 F, N = 7, 5
@@ -94,3 +95,42 @@ def test_refusals(tmp_path: Path) -> None:
         np.savez(path, **arrays)
         with pytest.raises(kind, match=message):
             load_tracker(path, **options)
+
+
+def test_load_tracks_reads_what_a_named_tracker_wrote(tmp_path: Path) -> None:
+    soft = np.where(SEEN, 0.9, 0.2)
+    np.savez(tmp_path / "a.npz", pred_tracks=POINTS[None], pred_visibility=soft[None])
+    with pytest.raises(FileError, match="--tracker"):
+        load_tracks(tmp_path / "a.npz")
+    np.testing.assert_array_equal(load_tracks(tmp_path / "a.npz", tracker="cotracker").visible, SEEN)
+    first = POINTS.swapaxes(0, 1) + 0.5
+    np.savez(tmp_path / "b.npz", tracks=first, occluded=_logit(~SEEN.T), expected_dist=np.full((N, F), -9.0))
+    with pytest.raises(FileError, match=r"ambiguous.*--tracker"):
+        load_tracks(tmp_path / "b.npz")
+    found = load_tracks(tmp_path / "b.npz", tracker="tapir")
+    np.testing.assert_allclose(found.points, POINTS, atol=1e-9)
+    # Seen at half the size: positions double about the outer corner of the first pixel.
+    found = load_tracks(tmp_path / "b.npz", tracker="tapir", image_size=(640, 480), seen_size=(320, 240))
+    np.testing.assert_allclose(found.points, 2 * (POINTS + 0.5) - 0.5, atol=1e-9)
+    np.savez(tmp_path / "c.npz", points=first / [320, 240], occluded=~SEEN.T)
+    found = load_tracks(tmp_path / "c.npz", tracker="tapvid", image_size=(320, 240))
+    np.testing.assert_allclose(found.points, POINTS, atol=1e-9)
+
+
+def test_what_does_not_go_with_a_tracker_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", tracks=POINTS, visibility=SEEN)
+    for wrong in ({"order": "matrix"}, {"name": "tracks"}):
+        with pytest.raises(InputError, match="beside it"):
+            load_tracks(tmp_path / "a.npz", tracker="cotracker", **wrong)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="seen_size needs tracker"):
+        load_tracks(tmp_path / "a.npz", seen_size=(3, 4))
+    with pytest.raises(InputError, match="did you mean 'cotracker'"):
+        load_tracks(tmp_path / "a.npz", tracker="cotraker")
+
+
+@pytest.mark.parametrize("name", ["tapvid.pkl", "out put.pt", "ä.pickle"])
+def test_pickles_are_refused_with_the_way_out(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"\x80\x04.")
+    with pytest.raises(FileError, match=r"pickles.*numpy\.savez") as caught:
+        load_tracks(tmp_path / name)
+    assert "\n" not in str(caught.value)

@@ -77,14 +77,14 @@ def flag_of(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def add_options(parser: Parser, title: str, cls: type) -> None:
-    """Add one flag for each field of an options dataclass, in a group of that title."""
+def add_options(parser: Parser, title: str, cls: type, prefix: str = "") -> None:
+    """Add one flag for each field of an options dataclass, in a group of that title; ``prefix`` goes before names."""
     group = parser.add_argument_group(title)
     kinds = field_types(cls)
     for field in dataclasses.fields(cls):
         kind, optional = kinds[field.name]
         settings: dict[str, Any] = {
-            "dest": _DEST + field.name,
+            "dest": _DEST + prefix + field.name,
             "default": argparse.SUPPRESS,
             "help": _help(field, optional).replace("%", "%%"),
         }
@@ -96,12 +96,13 @@ def add_options(parser: Parser, title: str, cls: type) -> None:
             settings["metavar"] = "{" + ",".join(choices) + "}" if choices else _METAVARS.get(kind, "WORD")
         if field.name in _OWN_READERS:
             settings["type"], settings["metavar"] = _OWN_READERS[field.name]
-        group.add_argument(flag_of(field.name), **settings)
+        group.add_argument(flag_of(prefix + field.name), **settings)
 
 
-def given_options(namespace: argparse.Namespace) -> dict[str, Any]:
-    """Return the fields that were given on the command line, as keyword arguments."""
-    return {key[len(_DEST) :]: value for key, value in vars(namespace).items() if key.startswith(_DEST)}
+def given_options(namespace: argparse.Namespace, prefix: str = "") -> dict[str, Any]:
+    """Return the fields that were given on the command line, as keyword arguments; those with ``prefix`` alone."""
+    start = _DEST + prefix
+    return {key[len(start) :]: value for key, value in vars(namespace).items() if key.startswith(start)}
 
 
 _METAVARS = {int: "N", float: "X", np.ndarray: "FILE"}

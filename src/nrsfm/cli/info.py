@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from nrsfm.cli.arguments import Parser
-from nrsfm.cli.reconstruct import add_reading
+from nrsfm.cli.reconstruct import add_reading, image_size
 from nrsfm.cli.summary import mirror_text
 from nrsfm.cli.text import columns, to_json
 
@@ -20,12 +20,20 @@ def run(words: Sequence[str]) -> int:
     )
     parser.add_argument("file", metavar="FILE", help="any file that nrsfm reads")
     add_reading(parser)
+    parser.add_argument("--image-size", type=image_size, metavar="WxH", help="pixels, for relative coordinates")
     parser.add_argument("--json", action="store_true", help="JSON in place of text")
     given = parser.parse_strictly(words)
 
     from nrsfm.files import describe
 
-    found = describe(given.file, order=given.order, name=given.array)
+    found = describe(
+        given.file,
+        order=given.order,
+        name=given.array,
+        tracker=given.tracker,
+        image_size=given.image_size,
+        seen_size=given.seen_size,
+    )
     print(to_json(found) if given.json else columns(_lines(found)))
     return 0
 

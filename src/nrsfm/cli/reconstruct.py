@@ -6,7 +6,7 @@ import argparse
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nrsfm.cli import running
 from nrsfm.cli.arguments import Parser
@@ -14,6 +14,9 @@ from nrsfm.cli.inputs import Inputs
 from nrsfm.cli.outputs import digest
 from nrsfm.cli.scores import FRAMES_OF_TRUTH, Truth
 from nrsfm.progress import Report
+
+if TYPE_CHECKING:
+    from nrsfm.tracks import Tracks
 
 
 def run(words: Sequence[str]) -> int:
@@ -34,10 +37,10 @@ def run(words: Sequence[str]) -> int:
     given, job = running.parse(parser, words)
 
     def load(report: Report) -> Inputs:
-        from nrsfm.files import load_rotations, load_tracks
+        from nrsfm.files import load_rotations
 
         report("reading files", None)
-        tracks = load_tracks(given.tracks, order=given.order, name=given.array, image_size=given.image_size)
+        tracks = read_tracks(given.tracks, given)
         record: dict[str, Any] = {
             "tracks": digest(given.tracks)
             | {"frames": tracks.n_frames, "points": tracks.n_points, "missing": tracks.n_missing},
@@ -60,9 +63,31 @@ def run(words: Sequence[str]) -> int:
 def add_reading(parser: Parser) -> None:
     """Add the arguments that say how a file is to be read, where it does not say so itself."""
     from nrsfm.files import ORDERS
+    from nrsfm.files.trackers import TRACKERS
 
     parser.add_argument("--order", choices=ORDERS, help="layout of the array, if its name does not say")
     parser.add_argument("--array", metavar="NAME", help="the array to read, if the file has several")
+    parser.add_argument("--tracker", choices=TRACKERS, help="the tracks are as this point tracker writes them")
+    parser.add_argument(
+        "--seen-size",
+        type=image_size,
+        metavar="WxH",
+        help="pixels of the image that the tracker saw, if it was resized",
+    )
+
+
+def read_tracks(path: str, asked: argparse.Namespace) -> Tracks:
+    """Read tracks as the arguments of :func:`add_reading`, and ``image_size`` where there is such, say."""
+    from nrsfm.files import load_tracks
+
+    return load_tracks(
+        path,
+        order=asked.order,
+        name=asked.array,
+        image_size=getattr(asked, "image_size", None),
+        tracker=asked.tracker,
+        seen_size=asked.seen_size,
+    )
 
 
 def image_size(text: str) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +19,14 @@ def summary(
     seconds: dict[str, float],
     warnings: list[str],
     out: Path,
+    before: Sequence[tuple[str, str]] = (),
 ) -> str:
-    """Return size, choices, scores, times and warnings of a run; what the diagnostics lack is left out."""
+    """Return size, choices, scores, times and warnings of a run, after the lines ``before``.
+
+    What the diagnostics lack is left out.
+    """
     lines = [
+        *before,
         ("size", f"{result.n_frames} frames, {result.n_points} points"),
         ("method", _method(result)),
         ("tracks", repair_text(result)),

@@ -77,7 +77,7 @@ def run(words: Sequence[str]) -> int:
         found = track(
             frames,
             mask,
-            _reference(given.reference),
+            reference_frame(given.reference),
             given.method,
             given.step,
             silent if given.quiet else line,
@@ -89,7 +89,8 @@ def run(words: Sequence[str]) -> int:
     return 0
 
 
-def _reference(text: str) -> int | str:
+def reference_frame(text: str) -> int | str:
+    """Return a frame's number, or ``auto``, of what was typed."""
     if text == "auto":
         return text
     try:

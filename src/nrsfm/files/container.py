@@ -43,6 +43,7 @@ _EXPECTED: dict[str, set[str | None]] = {
     ".hdf5": {_HDF5},
     ".mat": {_MAT5, _HDF5, None},
 }
+_PICKLED = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
 _LISTED = 12  # names shown in an error before "..."
 
 
@@ -82,6 +83,11 @@ def open_arrays(path: str | os.PathLike[str]) -> dict[str, Entry]:
     target = Path(path)
     extension = target.suffix.lower()
     content = _sniff(target)
+    if extension in _PICKLED:
+        raise FileError(
+            f"cannot read '{path}': {extension} files are pickles, which can run any program: save the arrays in them "
+            "with numpy.savez as .npz, where you trust the file (see docs/tracking.md, Tracks of other trackers)"
+        )
     if extension not in _READERS:
         known = ", ".join(_READERS)
         raise FileError(f"cannot read '{path}': extensions {known} are known, received '{target.suffix}'")

@@ -19,7 +19,15 @@ _AXES = "xyz"
 _SAMPLE = 2_000_000  # numbers that are enough for a median
 
 
-def describe(path: str | os.PathLike[str], *, order: str | None = None, name: str | None = None) -> dict[str, Any]:
+def describe(
+    path: str | os.PathLike[str],
+    *,
+    order: str | None = None,
+    name: str | None = None,
+    tracker: str | None = None,
+    image_size: tuple[float, float] | None = None,
+    seen_size: tuple[float, float] | None = None,
+) -> dict[str, Any]:
     """Return what a file holds; every value is plain, so that the dict goes into JSON.
 
     Keys: ``path``, ``format`` (extension), ``bytes``, ``kind`` ("tracks", "shapes", "cameras",
@@ -29,7 +37,7 @@ def describe(path: str | os.PathLike[str], *, order: str | None = None, name: st
     ``missing_share`` (0 to 1), and ``range`` (per axis the least and greatest known coordinate, in the file's
     unit). For a reconstruction also ``method``, ``options``, ``diagnostics``, ``groups`` (how many, or ``None``),
     ``not_reconstructed`` (points), ``missing`` (measurements of confidence 0), and ``depth_deviation`` (its
-    ``median`` and the value that 95 % stay below, ``percentile_95``, or ``None``). ``order`` and ``name`` are those
+    ``median`` and the value that 95 % stay below, ``percentile_95``, or ``None``). The arguments are those
     of :func:`~nrsfm.files.load_tracks`.
 
     Raises
@@ -52,7 +60,9 @@ def describe(path: str | os.PathLike[str], *, order: str | None = None, name: st
     if all(name in entries for name in (*ARRAYS, ABOUT)):
         return {**result, "kind": "reconstruction", "holds": ["shapes", "cameras"], **_of_result(path)}
     problems: list[str] = []
-    tracks = _attempt(lambda: load_tracks(path, order=order, name=name), problems)
+    reading: dict[str, Any] = {"order": order, "name": name, "tracker": tracker}
+    reading |= {"image_size": image_size, "seen_size": seen_size}
+    tracks = _attempt(lambda: load_tracks(path, **reading), problems)
     truth_or_none = cameras = None
     nameless = NAMELESS in entries
     if tracks is None or not nameless:  # one array without a name is one thing only

@@ -45,6 +45,8 @@ def load_tracks(
     order: str | None = None,
     name: str | None = None,
     image_size: tuple[float, float] | None = None,
+    tracker: str | None = None,
+    seen_size: tuple[float, float] | None = None,
 ) -> Tracks:
     """Read tracks from .npz, .npy, .mat (5 and 7.3), .h5, .csv, .tsv, .txt or .json; nothing is unpickled.
 
@@ -59,6 +61,11 @@ def load_tracks(
         Which array to read, where the file holds several that could be meant, or one under another name.
     image_size
         (width, height) in pixels of coordinates that were stored relative to the image, as TAP-Vid does.
+    tracker
+        ``"cotracker"``, ``"tapir"`` or ``"tapvid"``: the arrays are as that tracker writes them, with its order of
+        axes, its soft visibility or logits, and its half a pixel (:func:`nrsfm.files.trackers.load_tracker`).
+    seen_size
+        With ``tracker``: (width, height) of the image that it saw, if the video (``image_size``) was resized for it.
 
     Raises
     ------
@@ -69,6 +76,17 @@ def load_tracks(
         An argument is out of range.
     """
     _check_order(order)
+    if tracker is not None:
+        from nrsfm.files.trackers import load_tracker
+
+        if order == "matrix" or name is not None:
+            what = f"order {order!r}" if name is None else f"name {name!r}"
+            raise InputError(
+                f"tracker {tracker!r} names the arrays itself and knows no matrix, received {what} beside it"
+            )
+        return load_tracker(path, tracker=tracker, order=order, image_size=image_size, seen_size=seen_size)
+    if seen_size is not None:
+        raise InputError("seen_size needs tracker too: only trackers resize")
     entries = open_arrays(path)
     with _in_file(path):
         key = _choose(entries, name, tuple(_TRACKS), "tracks")
@@ -221,6 +239,7 @@ def _layout(
         f"the order of axes of {key or 'an array without a name'} with shape {array.shape} is ambiguous: "
         f"state it (order= or --order): frame-first for (frames, points, {last}), point-first for (points, "
         f"frames, {last}), matrix for ({last} x frames, points)"
+        + ("; or which tracker wrote it (tracker= or --tracker)" if last == 2 else "")
     )
 
 
@@ -247,7 +266,10 @@ def _flags(entries: dict[str, Entry], names: tuple[str, ...], sizes: tuple[int, 
     if flags.dtype == np.bool_:
         return flags
     if flags.dtype.kind not in "fiu" or not np.all((flags == 0) | (flags == 1)):
-        raise FileError(f"{key}: true and false, or 1 and 0, are needed, received other values of dtype {flags.dtype}")
+        hint = "" if flags.dtype.kind not in "fiu" else " (for those of a tracker say which: tracker= or --tracker)"
+        raise FileError(
+            f"{key}: true and false, or 1 and 0, are needed, received other values of dtype {flags.dtype}{hint}"
+        )
     return flags == 1
 
 
