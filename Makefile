@@ -22,7 +22,7 @@ demo: $(VENV)/installed
 	$(BIN)/nrsfm demo --out demo-output --overwrite
 
 test: $(VENV)/installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 DATA ?= $(or $(NRSFM_DATA),$(wildcard ../shared/data))
 results: $(VENV)/installed
