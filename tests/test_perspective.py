@@ -315,3 +315,15 @@ def test_real_video(data_root) -> None:
     assert report["mirror"]["by"] == "perspective"
     assert 0.08 < report["strength"] < 0.13
     assert shape_error(result, sequence.shapes, "similarity") < 0.06
+
+
+def test_tracks_that_follow_no_camera_show_no_perspective(scene, affine) -> None:
+    """Outliers that are left in the tracks look like perspective, and undoing it would tear the shapes."""
+    points, _, first = affine
+    assert with_perspective(points, solve, PerspectiveOptions(), first=first)[1]["undone"]
+    wrong = np.random.default_rng(0).random(points.shape[:2]) < 0.05
+    wild = points + 2.0 * scene[2] * wrong[..., None]
+    result, report = with_perspective(wild, solve, PerspectiveOptions(), first=first)
+    assert result is first
+    assert not report["undone"]
+    assert "no camera" in report["reason"]

@@ -26,6 +26,10 @@ from nrsfm.reconstruction import Reconstruction
 
 Solve = Callable[[np.ndarray], Reconstruction]
 
+LARGEST_MISFIT = 0.2
+"""Root mean square that the affine reconstruction may leave, in units of the tracks' own. Perspective leaves some
+percent; of tracks with more, too much is wrong: outliers that are left in them look like perspective."""
+
 _ROUNDS = 2
 
 
@@ -70,6 +74,9 @@ def with_perspective(
     result = solve(points) if first is None else first
     if options.perspective == "off":
         return result, {"undone": False, "reason": "off"}
+    affine_rms = float(np.sqrt(np.nanmean(_affine_error(points, result) ** 2)))
+    if affine_rms > LARGEST_MISFIT * _size(points):
+        return result, {"undone": False, "reason": "the tracks follow no camera closely enough to show it"}
     judged = result if second is None else second()
     finding = find_perspective(points, judged, options.intrinsics, visible)
     if not finding.decided and judged is not result:
@@ -88,6 +95,7 @@ def with_perspective(
         report["reason"] = "the perspective model has no solution"
         proven = judged.mirrored() if finding.flip else judged
         return _in_mirror(result, _camera_shapes(proven)), report
+    report["affine_rms"] = affine_rms
     return _undone(points, solve, finding.intrinsics, seen, result, report, final)
 
 
@@ -101,7 +109,6 @@ def _undone(
     final: str,
 ) -> tuple[Reconstruction, dict[str, Any]]:
     ones = np.ones(len(points))
-    affine_rms = float(np.sqrt(np.nanmean(_affine_error(points, result) ** 2)))
     shapes = seen.shapes
     if final != "model":
         depths = shapes[:, :, 2]
@@ -128,7 +135,6 @@ def _undone(
         "focal": float(matrix[0, 0]),
         "intrinsics": matrix.tolist(),
         "ranks": list(seen.ranks),
-        "affine_rms": affine_rms,
         "perspective_rms": float(np.sqrt(np.mean(errors**2))),
     }
 
@@ -149,6 +155,12 @@ def _in_mirror(result: Reconstruction, seen: np.ndarray) -> Reconstruction:
         for shape, rotation, frame in zip(result.shapes, result.rotations, seen, strict=True)
     )
     return result.mirrored() if agreement < 0 else result
+
+
+def _size(points: np.ndarray) -> float:
+    """Root mean square distance of the points from the centroid of their frame."""
+    means = [np.nanmean(np.sum((frame - np.nanmean(frame, axis=0)) ** 2, axis=1)) for frame in points]
+    return float(np.sqrt(np.mean(means)))
 
 
 def _affine_error(points: np.ndarray, result: Reconstruction) -> np.ndarray:
