@@ -74,9 +74,6 @@ def with_perspective(
     result = solve(points) if first is None else first
     if options.perspective == "off":
         return result, {"undone": False, "reason": "off"}
-    affine_rms = float(np.sqrt(np.nanmean(_affine_error(points, result) ** 2)))
-    if affine_rms > LARGEST_MISFIT * _size(points):
-        return result, {"undone": False, "reason": "the tracks follow no camera closely enough to show it"}
     judged = result if second is None else second()
     finding = find_perspective(points, judged, options.intrinsics, visible)
     if not finding.decided and judged is not result:
@@ -90,6 +87,9 @@ def with_perspective(
     }
     if not finding.decided or finding.intrinsics is None:
         return result, report | {"reason": finding.reason}
+    affine_rms = float(np.sqrt(np.nanmean(_affine_error(points, result) ** 2)))
+    if affine_rms > LARGEST_MISFIT * _size(points):
+        return result, {"undone": False, "reason": "the tracks follow no camera closely enough to show it"}
     seen = averaged_shapes(points, judged, finding.intrinsics, finding.flip, visible)
     if seen is None:
         report["reason"] = "the perspective model has no solution"
