@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import nrsfm
+from nrsfm.affine import Stages
 from nrsfm.compression import measure
 from nrsfm.errors import InputError, NrsfmError, OptionError
 from nrsfm.metrics import shape_error
@@ -354,6 +355,14 @@ def test_mirror_gives_the_other_solution():
     np.testing.assert_allclose(other.project(), one.project(), rtol=0, atol=1e-9 * np.abs(one.project()).max())
     reports = [r.diagnostics["cameras"]["mirror"] for r in (one, other)]
     assert reports[0]["flip"] != reports[1]["flip"]
+
+
+def test_a_stage_that_goes_on_after_one_inside_it_is_told_again():
+    told: list[tuple[str, float | None]] = []
+    stages = Stages(lambda stage, share: told.append((stage, share)))
+    with stages("outer"), stages("inner") as advance:
+        advance(0.5)
+    assert told == [("outer", None), ("inner", None), ("inner", 0.5), ("outer", None)]
 
 
 def test_progress_is_told_the_stages_in_order():

@@ -83,6 +83,7 @@ class Stages:
         self.seconds: dict[str, float] = {}
         self._report = report
         self._inner = [0.0]  # seconds of the stages inside each open one
+        self._open: list[str] = []
 
     @contextlib.contextmanager
     def __call__(self, name: str) -> Iterator[Callable[[float], None]]:
@@ -90,7 +91,11 @@ class Stages:
         self._report(name, None)
         start = time.perf_counter()
         self._inner.append(0.0)
+        self._open.append(name)
         yield lambda fraction: self._report(name, fraction)
+        self._open.pop()
+        if self._open:  # the stage around it goes on: what is measured from here is its own
+            self._report(self._open[-1], None)
         whole, inner = time.perf_counter() - start, self._inner.pop()
         self._inner[-1] += whole
         self.seconds[name] = self.seconds.get(name, 0.0) + whole - inner

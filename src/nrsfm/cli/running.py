@@ -191,9 +191,7 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
         stages.close()
         log.info("done in %.2f s", time.perf_counter() - began)
     if not job.quiet:
-        # Stages inside one another are told apart by the pipeline only.
-        took = stages.seconds | result.diagnostics.get("seconds", {})
-        print(summary(result, found, took, warnings, job.out))
+        print(summary(result, found, stages.seconds, warnings, job.out))
     return 0
 
 
