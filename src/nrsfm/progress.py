@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from types import TracebackType
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress, ProgressColumn, TaskID
 
 Report = Callable[[str, float | None], None]
 """Called with the name of the stage that runs and the part of it that is done, 0 to 1, or ``None``."""
@@ -18,30 +18,26 @@ def silent(stage: str, fraction: float | None) -> None:
     """Report nothing."""
 
 
-class TerminalProgress:
-    """A line on stderr with the stage, a bar and the time; nothing at all where stderr is not a terminal.
+class TerminalDisplay:
+    """Bars on a stream, stderr if not given, where that is a terminal; ``_display`` is ``None`` elsewhere.
 
-    Use as a context manager; inside it, the object is the callable to report to. At the end the line goes.
+    Use as a context manager; at the end the bars go. Who inherits names the columns.
     """
 
     def __init__(self, stream: IO[str] | None = None) -> None:
         self._stream = stream if stream is not None else sys.stderr
         self._display: Progress | None = None
         self._task: TaskID | None = None
-        self._stage: str | None = None
 
-    def __enter__(self) -> TerminalProgress:
+    def _columns(self) -> list[ProgressColumn]:
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
         if self._stream.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+            from rich.progress import Progress
 
-            self._display = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TimeElapsedColumn(),
-                console=Console(file=self._stream),
-                transient=True,
-            )
+            self._display = Progress(*self._columns(), console=Console(file=self._stream), transient=True)
             self._display.start()
         return self
 
@@ -51,6 +47,22 @@ class TerminalProgress:
         if self._display is not None:
             self._display.stop()
             self._display = None
+
+
+class TerminalProgress(TerminalDisplay):
+    """A line on stderr with the stage, a bar and the time; nothing at all where stderr is not a terminal.
+
+    Use as a context manager; inside it, the object is the callable to report to. At the end the line goes.
+    """
+
+    def __init__(self, stream: IO[str] | None = None) -> None:
+        super().__init__(stream)
+        self._stage: str | None = None
+
+    def _columns(self) -> list[ProgressColumn]:
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+
+        return [TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()]
 
     def __call__(self, stage: str, fraction: float | None = None) -> None:
         """Show that ``stage`` runs and, unless ``fraction`` is ``None``, how much of it is done."""

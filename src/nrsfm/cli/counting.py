@@ -2,54 +2,38 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from types import TracebackType
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Self
 
 from nrsfm.experiments.runner import Progress as State
+from nrsfm.progress import TerminalDisplay
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import ProgressColumn
 
 _EVERY = 30.0  # seconds between two plain lines
 
 
-class Counting:
+class Counting(TerminalDisplay):
     """Shows cells done, failed and running, and the time that is left; to be called with the runner's progress."""
 
     def __init__(self, label: str, stream: IO[str] | None = None) -> None:
+        super().__init__(stream)
         self._label = label
-        self._stream = stream if stream is not None else sys.stderr
-        self._display: Progress | None = None
-        self._task: TaskID | None = None
         self._said = time.perf_counter()
         self._first = True
 
-    def __enter__(self) -> Counting:
-        if self._stream.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    def _columns(self) -> list[ProgressColumn]:
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
-            self._display = Progress(
-                TextColumn(self._label),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                TextColumn("{task.description}"),
-                console=Console(file=self._stream),
-                transient=True,
-            )
-            self._task = self._display.add_task("", total=None)
-            self._display.start()
-        return self
+        described = TextColumn("{task.description}")
+        return [TextColumn(self._label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), described]
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __enter__(self) -> Self:
+        super().__enter__()
         if self._display is not None:
-            self._display.stop()
-            self._display = None
+            self._task = self._display.add_task("", total=None)
+        return self
 
     def __call__(self, state: State) -> None:
         """Show how far it is."""

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from types import TracebackType
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Self
+
+from nrsfm.progress import TerminalDisplay
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import ProgressColumn
 
 _EVERY = 30.0  # seconds between two plain lines
 _SOONEST = 2.0  # seconds before which nothing is said about the time left
 _EARLIEST = 0.03  # part done before which nothing is said about the time left
 
 
-class StageProgress:
+class StageProgress(TerminalDisplay):
     """A bar on a terminal, plain lines elsewhere; the object is the callable that the running stage reports to.
 
     ``shares`` of a stage say which part of its time each of its steps takes, roughly and in their order; the time left
@@ -23,37 +23,20 @@ class StageProgress:
     """
 
     def __init__(self, total: int, stream: IO[str] | None = None, *, quiet: bool = False) -> None:
-        self._total = total
-        self._stream = stream if stream is not None else sys.stderr
-        self._quiet = quiet
-        self._display: Progress | None = None
-        self._task: TaskID | None = None
+        super().__init__(stream)
+        self._total, self._quiet = total, quiet
         self._number, self._name = 0, ""
         self._shares: dict[str, float] = {}
         self._step: str | None = None
         self._began = self._step_began = self._said = time.perf_counter()
 
-    def __enter__(self) -> StageProgress:
-        if not self._quiet and self._stream.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn
+    def _columns(self) -> list[ProgressColumn]:
+        from rich.progress import BarColumn, TextColumn
 
-            self._display = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(bar_width=24),
-                TextColumn("{task.fields[time]}"),
-                console=Console(file=self._stream),
-                transient=True,
-            )
-            self._display.start()
-        return self
+        return [TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.fields[time]}")]
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._display is not None:
-            self._display.stop()
-            self._display = None
+    def __enter__(self) -> Self:
+        return self if self._quiet else super().__enter__()
 
     def begin(self, name: str, why: str, shares: dict[str, float] | None = None) -> None:
         """A stage begins."""
