@@ -140,11 +140,12 @@ def _collect(
         if f == template.reference:
             visible[f], confidence[f], scores[:, f] = True, 1.0, (1.0, 0.0)
             continue
-        seen, sure = judge(template, f, flows[f], None if masks is None else masks[f], least)
+        warped = template.sample(template.frames[f], flows[f])
+        likeness = template.likeness(warped)
+        seen, sure = judge(template, likeness, flows[f], None if masks is None else masks[f], least)
         visible[f], confidence[f] = seen[y, x], sure[y, x]
         if visible[f].any():
-            warped = template.sample(template.frames[f], flows[f])
-            scores[0, f] = template.likeness(warped)[y, x][visible[f]].mean()
+            scores[0, f] = likeness[y, x][visible[f]].mean()
             away = np.abs(warped.astype(np.float32) - template.image)[y, x]
             scores[1, f] = away[visible[f]].mean()
     return Tracks(points, visible), confidence, pixels, scores

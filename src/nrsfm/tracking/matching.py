@@ -107,6 +107,12 @@ class Template:
         )
         return found
 
+    def in_image(self, flow: np.ndarray) -> np.ndarray:
+        """Return where (h, w) the reference pixels moved by ``flow`` lie in the image."""
+        place = self.position + flow
+        found: np.ndarray = ((place >= 0) & (place <= (self.width - 1, self.height - 1))).all(axis=2)
+        return found
+
     def likeness(self, warped: np.ndarray) -> np.ndarray:
         """Return the local correlation (h, w) of a warped frame with the reference, lower where there is no texture."""
         centred, variance = self.moments(warped.astype(np.float32))
@@ -119,9 +125,8 @@ class Template:
 
         ``sure`` is the likeness at which trust begins, and at which it is full.
         """
-        place = self.position + flow
-        seen = ((place >= 0) & (place <= (self.width - 1, self.height - 1))).all(axis=2)
-        found: np.ndarray = np.clip((likeness - sure[0]) / (sure[1] - sure[0]), 0, 1) * self.weight * seen
+        certain = np.clip((likeness - sure[0]) / (sure[1] - sure[0]), 0, 1)
+        found: np.ndarray = certain * self.weight * self.in_image(flow)
         return found
 
     def seen(self, frame: int, flow: np.ndarray) -> np.ndarray:

@@ -40,21 +40,18 @@ def threshold(template: Template, flows: np.ndarray) -> float:
 
 
 def judge(
-    template: Template, frame: int, flow: np.ndarray, mask: np.ndarray | None, least: float
+    template: Template, likeness: np.ndarray, flow: np.ndarray, mask: np.ndarray | None, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return visible (h, w) bool and confidence (h, w) float32 in [0, 1] of one frame's flow.
 
-    ``mask`` is where the object is in this frame, (H, W) bool, or ``None``; ``least`` is the :func:`threshold`.
+    ``likeness`` (h, w) is that of the frame seen through the flow; ``mask`` is where the object is in this frame,
+    (H, W) bool, or ``None``; ``least`` is the :func:`threshold`.
     """
     cv2 = import_cv2()
 
-    image = template.sample(template.frames[frame], flow)
-    likeness = template.likeness(image)
     tells = (template.variance / (template.variance + _TEXTURE)).astype(np.float32) ** 2 * template.weight
     seen = spread(likeness[..., None], np.maximum(tells, 1e-5).astype(np.float32))[..., 0]
-    place = template.position + flow
-    possible = ((place >= 0) & (place <= (template.width - 1, template.height - 1))).all(axis=2)
-    possible &= areas(flow) > _LEAST_AREA
+    possible = template.in_image(flow) & (areas(flow) > _LEAST_AREA)
     if mask is not None:
         # Masks are rarely exact to the pixel.
         wide = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), dtype=np.uint8))
