@@ -11,6 +11,8 @@ from nrsfm.tracking.matching import Template, despeckled, evened, noise_level, s
 from nrsfm.tracking.photometric import FINE_BAND, FINE_WINDOW, fit
 from nrsfm.tracking.revisiting import continued, revisit
 
+from .conftest import textured, warped
+
 cv2 = pytest.importorskip("cv2")
 
 SIZE = 120
@@ -18,10 +20,7 @@ FRAMES = 12
 
 
 def _texture(size: int = SIZE) -> np.ndarray:
-    rng = np.random.default_rng(5)
-    image = sum(
-        cv2.GaussianBlur(rng.standard_normal((size, size)).astype(np.float32), (0, 0), s) * s for s in (1, 2, 4)
-    )
+    image = textured(size, 5)
     return (127 + 36 * image / image.std()).astype(np.float32)
 
 
@@ -33,20 +32,12 @@ def _motion() -> np.ndarray:
     return np.stack([dx, 4 * np.sin(time) * y + (np.cos(time) - 1) * np.cos(3 * x)], axis=-1).astype(np.float32)
 
 
-def _seen(texture: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    y, x = np.mgrid[:SIZE, :SIZE].astype(np.float32)
-    back = np.zeros_like(motion)
-    for _ in range(30):
-        back = -cv2.remap(motion, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return cv2.remap(texture, x + back[..., 0], y + back[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-
-
 @pytest.fixture(scope="module")
 def video() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     motion = _motion()
     mask = np.zeros((SIZE, SIZE), dtype=bool)
     mask[20:100, 20:100] = True
-    return np.stack([_seen(_texture(), m) for m in motion]), mask, motion
+    return np.stack([warped(_texture(), m) for m in motion]), mask, motion
 
 
 def _templates(images: np.ndarray, mask: np.ndarray, **options: int) -> tuple[Template, Template]:

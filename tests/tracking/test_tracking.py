@@ -14,16 +14,15 @@ from nrsfm.tracking.matching import Template, evened
 from nrsfm.tracking.subspace import estimate
 from nrsfm.tracking.visibility import areas
 
+from .conftest import textured, warped
+
 cv2 = pytest.importorskip("cv2")
 
 SIZE = 96
 
 
 def _texture(seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    image = sum(
-        cv2.GaussianBlur(rng.standard_normal((SIZE, SIZE)).astype(np.float32), (0, 0), s) * s for s in (1, 2, 4)
-    )
+    image = textured(SIZE, seed)
     return (0.5 + 0.14 * image / image.std()).astype(np.float32)
 
 
@@ -36,20 +35,11 @@ def _motion(frames: int) -> np.ndarray:
     return np.stack([dx, dy], axis=-1).astype(np.float32)
 
 
-def _warped(texture: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """The image whose reference pixel x has come to x + u(x): inverse by fixed-point iteration."""
-    y, x = np.mgrid[:SIZE, :SIZE].astype(np.float32)
-    back = np.zeros_like(motion)
-    for _ in range(30):
-        back = -cv2.remap(motion, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return cv2.remap(texture, x + back[..., 0], y + back[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-
-
 @pytest.fixture(scope="module")
 def video() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     motion = _motion(16)
     texture = _texture()
-    frames = np.stack([_warped(texture, m) for m in motion])
+    frames = np.stack([warped(texture, m) for m in motion])
     # The light changes, as a gain and an offset.
     gain = 1 + 0.15 * np.sin(np.arange(16))[:, None, None]
     frames = np.clip(frames * gain + 0.02, 0, 1).astype(np.float32)

@@ -1,7 +1,9 @@
 """Small sequences of every kind that the pictures must cope with."""
 
+import io
 import os
 import shutil
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,3 +87,26 @@ def browser():
         running = driver.chromium.launch(executable_path=place, args=["--no-sandbox", "--enable-unsafe-swiftshader"])
         yield running
         running.close()
+
+
+def until(page, condition, seconds=20.0):
+    """Wait until it holds; the page's own policy forbids what playwright waits with."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(f"Boolean({condition})"):
+        assert time.monotonic() < end, f"not within {seconds:g} s: {condition}"
+        time.sleep(0.05)
+
+
+def settle(page):
+    """Wait until what was asked for is drawn."""
+    page.evaluate(
+        "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 120))))"
+    )
+
+
+def picture(page, selector="[data-part=canvas]"):
+    """What an element of the page looks like, (H, W, 3) int."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(page.locator(selector).screenshot())) as shot:
+        return np.asarray(shot.convert("RGB")).astype(int)

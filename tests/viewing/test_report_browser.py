@@ -1,15 +1,15 @@
 """The page of a report in a real browser without a window, opened from a file, with no network to ask."""
 
 import contextlib
-import io
 import itertools
-import time
 
 import numpy as np
 import pytest
 
 from nrsfm import Reconstruction, Tracks
 from nrsfm.viewing.report import Sources, make_report, read_run, write_report
+
+from .conftest import picture, settle, until
 
 FRAMES, ROWS, COLUMNS = 12, 30, 40
 
@@ -68,30 +68,9 @@ def page_of(browser, saved, *, width=1280, height=800, scheme="light", still=Tru
     context.close()
 
 
-def until(page, condition, seconds=20.0):
-    """Wait until it holds; the page's own policy forbids what playwright waits with."""
-    end = time.monotonic() + seconds
-    while not page.evaluate(f"Boolean({condition})"):
-        assert time.monotonic() < end, f"not within {seconds:g} s: {condition}"
-        time.sleep(0.05)
-
-
 def drawn(page):
     until(page, "globalThis.nrsfmPlayer?.counts.draws > 0")
     settle(page)
-
-
-def settle(page):
-    page.evaluate(
-        "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 60))))"
-    )
-
-
-def picture(page, selector="[data-part=canvas]"):
-    from PIL import Image
-
-    with Image.open(io.BytesIO(page.locator(selector).screenshot())) as shot:
-        return np.asarray(shot.convert("RGB")).astype(int)
 
 
 def test_it_opens_from_a_file_and_plays_and_asks_for_nothing(browser, saved):

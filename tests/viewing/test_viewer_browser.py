@@ -1,7 +1,6 @@
 """The viewer in a real browser without a window: a Chromium of the system, driven through playwright."""
 
 import contextlib
-import io
 import time
 
 import numpy as np
@@ -9,6 +8,8 @@ import pytest
 
 from nrsfm import Reconstruction, Tracks
 from nrsfm.viewing.viewer import ViewServer, make_content
+
+from .conftest import picture, settle, until
 
 FRAMES, ROWS, COLUMNS = 12, 30, 40
 
@@ -63,27 +64,6 @@ def page_of(browser, served, words="", *, width=1000, height=700, scheme="light"
     assert problems == []
     assert all(url.startswith((served[0].address, "blob:")) for url in asked)  # nothing from elsewhere
     context.close()
-
-
-def until(page, condition, seconds=20.0):
-    """Wait until it holds; the page's own policy forbids what playwright waits with."""
-    end = time.monotonic() + seconds
-    while not page.evaluate(f"Boolean({condition})"):
-        assert time.monotonic() < end, f"not within {seconds:g} s: {condition}"
-        time.sleep(0.05)
-
-
-def settle(page):
-    page.evaluate(
-        "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 120))))"
-    )
-
-
-def picture(page, selector):
-    from PIL import Image
-
-    with Image.open(io.BytesIO(page.locator(selector).screenshot())) as shot:
-        return np.asarray(shot.convert("RGB")).astype(int)
 
 
 def frame(page):
