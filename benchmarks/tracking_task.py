@@ -63,10 +63,10 @@ def _rendered(settings: dict[str, Any]) -> dict[str, Any]:
 def _end_to_end(made: Any, query: np.ndarray, points: np.ndarray, visible: np.ndarray, entries: int) -> dict[str, Any]:
     """Error of shapes from estimated and from perfect tracks of the same points, on those that both reconstruct."""
     from nrsfm import Tracks, reconstruct
+    from nrsfm.cli.work import chosen_step
     from nrsfm.metrics import shape_error
 
-    frames = len(points)
-    step = max(1, math.ceil(math.sqrt(len(query) / max(entries / frames, 1000))))
+    step = chosen_step(len(query), len(points), entries)
     thin = (made.queries[query] % step == 0).all(axis=1)
     query, points, visible = query[thin], points[:, thin], visible[:, thin]
     true = made.query_shapes(query) * np.float32(made.scene.scales[made.reference])
@@ -99,7 +99,7 @@ def _cloth(settings: dict[str, Any]) -> dict[str, Any]:
         reference = reference_frame(frames, masks)
         for method in settings["methods"]:
             start = time.perf_counter()
-            found = track(frames, masks[reference], reference, method, progress=lambda stage, part: None)
+            found = track(frames, masks[reference], reference, method)
             seconds = time.perf_counter() - start
             told, visible = found.diagnostics, found.tracks.visible
             assert visible is not None

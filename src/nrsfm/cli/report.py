@@ -16,7 +16,7 @@ from nrsfm.cli.arguments import Parser
 from nrsfm.cli.outputs import digest
 from nrsfm.cli.reconstruct import add_reading, add_truth, drawing_aids, image_size, load_truth, read_tracks
 from nrsfm.cli.text import columns
-from nrsfm.cli.view import given_colours, shown_edges, shown_faces
+from nrsfm.cli.view import add_showing, check_fps, given_colours, shown_edges, shown_faces
 from nrsfm.errors import FileError, NrsfmError, OptionError
 
 if TYPE_CHECKING:
@@ -44,18 +44,11 @@ def run(words: Sequence[str]) -> int:
     parser.add_argument("--image-size", type=image_size, metavar="WxH", help="pixels, for relative coordinates")
     add_truth(parser, "--truth", metavar="FILE", help="the true shapes, if they are elsewhere now")
     parser.add_argument("--images", metavar="PATH", help="the input's frames: a video, or a folder of images")
-    parser.add_argument(
-        "--faces",
-        metavar="FACES",
-        help="none, auto, grid:ROWSxCOLS, or a file with faces [default: those of tracks or truth, or auto]",
-    )
-    parser.add_argument("--fps", type=float, default=30.0, metavar="X", help="frames a second [default: 30]")
+    add_showing(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace a file of that name")
     parser.add_argument("--quiet", action="store_true", help="no progress and no summary")
     given = parser.parse_strictly(words)
-    if not (math.isfinite(given.fps) and 0 < given.fps <= 1000):
-        raise OptionError(f"option '--fps' must be greater than 0 and at most 1000, received {given.fps:g}")
-
+    check_fps(given.fps)
     if not (math.isfinite(given.megabytes) and given.megabytes > 0):
         raise OptionError(f"option '--megabytes' must be greater than 0, received {given.megabytes:g}")
 

@@ -13,12 +13,12 @@ from typing import Any
 
 from nrsfm.cli import running
 from nrsfm.cli.arguments import Parser, add_options, given_options
-from nrsfm.cli.outputs import CONFIG, LOG, Stages, limited_threads, log_to
+from nrsfm.cli.outputs import CONFIG, LOG, REPORT, Stages, limited_threads, log_to
 from nrsfm.cli.reconstruct import add_truth
 from nrsfm.cli.stage_progress import StageProgress
 from nrsfm.cli.summary import summary
 from nrsfm.cli.text import to_json
-from nrsfm.cli.track import reference_frame
+from nrsfm.cli.track import add_video, reference_frame
 from nrsfm.cli.work import Wishes, Work
 from nrsfm.errors import FileError, InputError, OptionError, suggest
 from nrsfm.stages import Stage, StageFolder, is_same, is_there, open_stages
@@ -27,7 +27,13 @@ _VERB = "nrsfm run"
 _LATER = {"score", "draw", "export", "report"}
 _APART = "track_"  # options of tracking have names of their own: the methods have some of the same
 _SHARES = {
-    "subspace": {"reading frames": 0.03, "pairwise flow": 0.27, "subspace flow": 0.7},
+    "subspace": {
+        "reading frames": 0.01,
+        "pairwise flow": 0.08,
+        "finding again": 0.35,
+        "subspace flow": 0.27,
+        "photometric fit": 0.29,
+    },
     "dis": {"reading frames": 0.06, "pairwise flow": 0.94},
     "naive": {"reading frames": 0.1, "pairwise flow": 0.9},
 }
@@ -64,7 +70,8 @@ def run(words: Sequence[str]) -> int:
                 if name == "report":
                     _write_config(folder, work, command, threads)
                 log.info("stage %s: %s", name, why)
-                line.begin(name, "" if why == "not done yet" else why, _SHARES.get(wishes.track_method))
+                shares = _SHARES.get(wishes.track_method) if name == "track" else None
+                line.begin(name, "" if why == "not done yet" else why, shares)
                 logged = Stages(line, log)
                 folder.run(stage, logged)
                 logged.close()
@@ -96,14 +103,8 @@ def _asked(words: Sequence[str]) -> tuple[Any, running.Job, Wishes]:
         "draw it, export it and make a report. Stages that are done are kept: the same command goes on where it\n"
         "was interrupted, and a changed option repeats only what depends on it.",
     )
-    parser.add_argument("video", metavar="VIDEO", help="video file, folder of images, or pattern of images")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to make, or to go on with")
-    parser.add_argument("--mask", metavar="MASK", help="where the object is: image, folder of images, or 'x,y x,y x,y'")
-    parser.add_argument("--start", type=int, default=0, metavar="N", help="first frame [default: 0]")
-    parser.add_argument("--stop", type=int, metavar="N", help="first frame not used [default: the end]")
-    parser.add_argument("--stride", type=int, default=1, metavar="N", help="use every Nth frame [default: 1]")
-    parser.add_argument("--resize", metavar="SIZE", help="longest side in pixels, or WIDTHxHEIGHT")
-    parser.add_argument("--reference", default="auto", metavar="{N,auto}", help="frame to track from [default: auto]")
+    add_video(parser)
     parser.add_argument(
         "--step",
         metavar="{PIXELS,auto}",
@@ -284,7 +285,7 @@ def _summary(folder: StageFolder, work: Work, seconds: dict[str, float], out: Pa
     written = work.facts.get("export", {}).get("written", [])
     lines += [("export", f"{out / entry['name']} ({entry['bytes'] / 1e6:.1f} MB)") for entry in written]
     if "report" in work.facts:
-        lines.append(("report", str(out / "report.html")))
+        lines.append(("report", str(out / REPORT)))
     warnings = [str(text) for name in work.facts for text in work.facts[name].get("warnings", [])]
     shapes = found if "shape_error" in found else None
     return summary(work.result, shapes, seconds, warnings, out, before=lines)

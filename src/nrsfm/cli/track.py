@@ -27,28 +27,11 @@ def run(words: Sequence[str]) -> int:
         description="Track every pixel of the object from a reference frame through the video.",
         epilog=f"methods:\n{listed}",
     )
-    parser.add_argument("video", metavar="VIDEO", help="video file, folder of images, or pattern of images")
     parser.add_argument("--out", required=True, metavar="FILE", help="tracks to write, .h5 or .npz")
     parser.add_argument(
         "--method", default="subspace", metavar="{" + ",".join(METHODS) + "}", help="[default: subspace]"
     )
-    parser.add_argument(
-        "--mask",
-        metavar="MASK",
-        help="where the object is: an image (of the reference frame), a folder of images (of every frame), or a "
-        "polygon 'x,y x,y x,y' [default: everywhere]",
-    )
-    parser.add_argument("--start", type=int, default=0, metavar="N", help="first frame [default: 0]")
-    parser.add_argument("--stop", type=int, metavar="N", help="first frame not used [default: the end]")
-    parser.add_argument("--stride", type=int, default=1, metavar="N", help="use every Nth frame [default: 1]")
-    parser.add_argument("--resize", metavar="SIZE", help="longest side in pixels, or WIDTHxHEIGHT")
-    parser.add_argument(
-        "--reference",
-        default="auto",
-        metavar="{N,auto}",
-        help="frame to track from, counted within the chosen ones; auto: the one most like the others, or the "
-        "first where the mask is one image [default: auto]",
-    )
+    add_video(parser)
     parser.add_argument("--step", type=int, default=1, metavar="PIXELS", help="distance of the points [default: 1]")
     add_options(parser, "options of tracking", TrackingOptions)
     parser.add_argument("--overwrite", action="store_true", help="replace an output of that name")
@@ -87,6 +70,28 @@ def run(words: Sequence[str]) -> int:
     if not given.quiet:
         print(to_json(_facts(found, given.out)) if given.json else columns(_lines(found, given.out)))
     return 0
+
+
+def add_video(parser: Parser) -> None:
+    """The video, which of its frames, and where the object is."""
+    parser.add_argument("video", metavar="VIDEO", help="video file, folder of images, or pattern of images")
+    parser.add_argument(
+        "--mask",
+        metavar="MASK",
+        help="where the object is: an image (of the reference frame), a folder of images (of every frame), or a "
+        "polygon 'x,y x,y x,y' [default: everywhere]",
+    )
+    parser.add_argument("--start", type=int, default=0, metavar="N", help="first frame [default: 0]")
+    parser.add_argument("--stop", type=int, metavar="N", help="first frame not used [default: the end]")
+    parser.add_argument("--stride", type=int, default=1, metavar="N", help="use every Nth frame [default: 1]")
+    parser.add_argument("--resize", metavar="SIZE", help="longest side in pixels, or WIDTHxHEIGHT")
+    parser.add_argument(
+        "--reference",
+        default="auto",
+        metavar="{N,auto}",
+        help="frame to track from, counted within the chosen ones; auto: the one most like the others, or the "
+        "first where the mask is one image [default: auto]",
+    )
 
 
 def reference_frame(text: str) -> int | str:

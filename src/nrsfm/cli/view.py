@@ -37,17 +37,11 @@ def run(words: Sequence[str]) -> int:
     add_reading(parser)
     add_truth(parser, "--truth", metavar="FILE", help="file with the true shapes, to colour by error")
     parser.add_argument("--images", metavar="PATH", help="the input: a video, or a folder of images, a frame each")
-    parser.add_argument(
-        "--faces",
-        metavar="FACES",
-        help="none, auto, grid:ROWSxCOLS, or a file with faces [default: those of tracks or truth, or auto]",
-    )
     parser.add_argument("--port", type=int, metavar="N", help="[default: 8090, or the next free one; 0: any]")
-    parser.add_argument("--fps", type=float, default=30.0, metavar="X", help="frames a second [default: 30]")
+    add_showing(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress")
     given = parser.parse_strictly(words, _explain)
-    if not (math.isfinite(given.fps) and 0 < given.fps <= 1000):
-        raise OptionError(f"option '--fps' must be greater than 0 and at most 1000, received {given.fps:g}")
+    check_fps(given.fps)
 
     from nrsfm.numerics.threads import single_thread
     from nrsfm.progress import TerminalProgress, silent
@@ -113,6 +107,22 @@ def _truth(given: Any, result: Reconstruction) -> tuple[np.ndarray | None, np.nd
             f"has, received {received}"
         )
     return truth.shapes, truth.valid
+
+
+def add_showing(parser: Parser) -> None:
+    """What is shown of the shapes, and how fast."""
+    parser.add_argument(
+        "--faces",
+        metavar="FACES",
+        help="none, auto, grid:ROWSxCOLS, or a file with faces [default: those of tracks or truth, or auto]",
+    )
+    parser.add_argument("--fps", type=float, default=30.0, metavar="X", help="frames a second [default: 30]")
+
+
+def check_fps(fps: float) -> None:
+    """Refuse what no player can keep up with."""
+    if not (math.isfinite(fps) and 0 < fps <= 1000):
+        raise OptionError(f"option '--fps' must be greater than 0 and at most 1000, received {fps:g}")
 
 
 def shown_faces(

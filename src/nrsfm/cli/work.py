@@ -32,9 +32,9 @@ FEWEST = 1_000
 logger = logging.getLogger("nrsfm.run")
 
 
-def chosen_step(area: int, frames: int) -> int:
+def chosen_step(area: int, frames: int, entries: int = ENTRIES) -> int:
     """The smallest distance of points, in pixels, at which an object of that area has few enough of them."""
-    return max(1, int(np.ceil(np.sqrt(area / max(ENTRIES / frames, FEWEST)))))
+    return max(1, int(np.ceil(np.sqrt(area / max(entries / frames, FEWEST)))))
 
 
 @dataclasses.dataclass(frozen=True)
