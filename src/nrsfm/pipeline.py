@@ -24,13 +24,14 @@ from nrsfm.options import split_options
 from nrsfm.perspective import PerspectiveOptions, with_perspective
 from nrsfm.progress import Report, TerminalProgress, silent
 from nrsfm.reconstruction import Reconstruction
-from nrsfm.repair import Repaired, RepairOptions, Resection, repair, resect, trusted_points
+from nrsfm.repair import Repaired, RepairOptions, Resection, repair, resect, resect_by_cells, trusted_points
 from nrsfm.tracks import Tracks
 from nrsfm.uncertainty import UncertaintyOptions
 
 logger = logging.getLogger(__name__)
 
 _PLAIN = "geometry-aware"  # bends least of perspective into the shapes
+_EXACT_ROUNDS, _NOISY_ROUNDS = 2, 3  # of reconstruction and resection where tracks have holes
 _SECOND_OPINION = 1_000_000  # entries up to which it is asked first whether there is perspective
 
 STAGE_OPTIONS: dict[str, type] = {
@@ -122,7 +123,10 @@ def _reconstruct(tracks: Tracks, run: _Run, report: Report) -> Reconstruction:
     with stages("repair") as monitor:
         repaired = repair(tracks, run.repair, np.random.default_rng([settings.seed, 2]), monitor)
     if repaired.good is None or run.method.needs.every_point:
-        result, perspective = _seen_by_cameras(_columns(repaired.points, repaired.kept), tracks.visible, run, stages)
+        points = _columns(repaired.points, repaired.kept)
+        result, perspective = _seen_by_cameras(points, tracks.visible, run, stages)
+        if getattr(settings.method, "by_cells", False) and not perspective["undone"]:
+            result = _by_cells(points, result, settings.seed, stages)
     else:
         result, perspective, repaired = _with_holes(tracks, repaired, run, stages)
     warnings = [*repaired.warnings, *result.diagnostics["warnings"]]
@@ -176,42 +180,68 @@ def _seen_by_cameras(
         )
 
 
+def _by_cells(points: np.ndarray, result: Reconstruction, seed: int, stages: Stages) -> Reconstruction:
+    """Complete points (F, P, 2) resected cell by cell where there is noise: the last word is the tracks' own."""
+    noise = result.diagnostics["noise"]
+    if noise <= 0.0:
+        return result
+    rng, seen = np.random.default_rng([seed, 3]), np.ones(points.shape[:2], dtype=bool)
+    with stages("resection") as advance, single_thread():
+        return _as_resected(result, resect_by_cells(result, result.shapes, points, seen, noise, rng, advance))
+
+
 def _with_holes(
     tracks: Tracks, repaired: Repaired, run: _Run, stages: Stages
 ) -> tuple[Reconstruction, dict[str, Any], Repaired]:
     """Trusted points first; the others by resection from where they were seen, which also finds what was overlooked.
 
     Of exact tracks, resection is the answer: the least error in a few completed tracks would spoil the rest. Noisy ones
-    are completed once more, by what resection predicts, and go through again together: many noisy points are worth
-    more than few. Resection is affine: where perspective is undone, completed tracks are taken as they are.
+    are completed by what resection predicts and go through again together, twice: many noisy points are worth more than
+    few. What comes out is resected, cell by cell: what was filled in had no noise and little truth. Resection is
+    affine: where perspective is undone, completed tracks are taken as they are.
     """
     kept, good = repaired.kept, _given(repaired.good)
     trusted = trusted_points(repaired, len(good))
     points, overlooked = repaired.points, np.zeros_like(good)
-    for last in (False, True):
+    measured, seen = _columns(tracks.points, kept), good[:, kept]
+    rng = np.random.default_rng([run.settings.seed, 3])
+    told = run.settings.pipeline.noise_level is not None
+    rounds = _NOISY_ROUNDS if repaired.noisy else _EXACT_ROUNDS
+    for _ in range(rounds):
         result, perspective = _seen_by_cameras(_columns(points, trusted), good[:, trusted], run, stages)
         if perspective["undone"]:
             if not np.array_equal(trusted, kept):
                 result, perspective = _seen_by_cameras(_columns(points, kept), good[:, kept], run, stages)
             return result, perspective, repaired
-        if repaired.noisy and last:
-            break
+        noise = result.diagnostics["noise"]
+        shapes = None if trusted is not kept else result.shapes
         with stages("resection") as advance, single_thread():
-            found = resect(result, _columns(tracks.points, kept), good[:, kept], result.diagnostics["noise"], advance)
+            if shapes is None:
+                found = resect(result, measured, seen, noise, advance)
+                shapes = found.shapes
+            if repaired.noisy:
+                found = resect_by_cells(result, shapes, measured, seen, noise, rng, advance)
+                if not told:  # what is filled in has no noise, what is wrong had much
+                    run = _told(run, found.noise)
         overlooked[:, kept] = found.wrong
         clean = trusted & ~overlooked.any(axis=0)
         if repaired.noisy:
             points, trusted = _predicted(points, result, found.shapes, overlooked | ~good, kept), kept
-        elif last or np.array_equal(clean, trusted) or clean.sum() < max(4, trusted.sum() // 2):
+        elif np.array_equal(clean, trusted) or clean.sum() < max(4, trusted.sum() // 2):
             break
         else:
             trusted = clean
-    if not repaired.noisy:
-        result = _joined(result, found, trusted[kept])
+    result = _as_resected(result, found) if repaired.noisy else _joined(result, found, trusted[kept])
     number = int(np.count_nonzero(overlooked))
     report = repaired.report | {"outliers": repaired.report["outliers"] + number, "overlooked_at_first": number}
     confidence = np.where(overlooked, np.float32(0), _given(repaired.confidence))
     return result, perspective, replace(repaired, confidence=confidence, report=report)
+
+
+def _told(run: _Run, noise: float) -> _Run:
+    """The run with the noise level known."""
+    pipeline = replace(run.settings.pipeline, noise_level=noise)
+    return replace(run, settings=replace(run.settings, pipeline=pipeline))
 
 
 def _predicted(
@@ -224,6 +254,14 @@ def _predicted(
         row = out[f, kept]
         out[f, kept] = np.where(wrong[f, kept, None], seen, row)
     return out
+
+
+def _as_resected(result: Reconstruction, found: Resection) -> Reconstruction:
+    """Every point by resection, what missing entries cost added to the deviations."""
+    deviation = result.depth_deviation
+    if deviation is not None:
+        deviation = np.hypot(deviation, found.deviation)
+    return replace(result, shapes=found.shapes, depth_deviation=deviation)
 
 
 def _joined(result: Reconstruction, found: Resection, trusted: np.ndarray) -> Reconstruction:

@@ -17,8 +17,11 @@ distribution over frames: there the trajectories have the word. Shapes that scat
 Noise that is left after the compression is first smoothed over time, where the tracks allow it
 (:mod:`nrsfm.numerics.smoothing`).
 
-Everything runs on the tracks with all cells merged, at most 2F virtual points, but for the trajectories, which know
-the cells. On the compression it is exact, as its parts are.
+At the end noisy tracks are resected: each point from its own track, in the distribution that these shapes give its
+cell (:func:`nrsfm.repair.resect_by_cells`).
+
+Everything else runs on the tracks with all cells merged, at most 2F virtual points, but for the trajectories, which
+know the cells. On the compression it is exact, as its parts are.
 """
 
 from __future__ import annotations
@@ -85,6 +88,7 @@ class AutoOptions:
     smooth_motion: bool = option(True, "Begin also from the shapes that move least; needs frames in order.")
     smooth_tracks: bool = option(True, "Smooth noise that is left in the tracks over time; needs frames in order.")
     follow: bool = option(True, "Follow the beginnings to the most likely shapes under a Gaussian over frames.")
+    by_cells: bool = option(True, "Resect noisy tracks at the end, point by point in the distribution of its cell.")
 
 
 @dataclass(frozen=True)
