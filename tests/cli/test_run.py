@@ -79,6 +79,20 @@ def test_every_stage_leaves_what_it_should(finished, scene):
     assert (finished / "model.glb").read_bytes()[:4] == b"glTF"
 
 
+def test_what_is_too_uncertain_is_left_out_and_the_noise_told(finished):
+    import h5py
+
+    import nrsfm
+    from nrsfm.tracking import usable
+
+    with h5py.File(finished / "tracks.h5") as file:
+        tracks, level = usable(nrsfm.Tracks(file["tracks"][:], file["visible"][:]), file["deviation"][:])
+        before = file["visible"][:].mean()
+    result = nrsfm.load_reconstruction(finished / "reconstruction.npz")
+    assert result.options["noise_level"] == pytest.approx(level)
+    assert (result.confidence == 0).mean() >= 1 - tracks.visible.mean() > 1 - before
+
+
 def _reconstructed(folder):
     import nrsfm
 

@@ -271,6 +271,9 @@ def _summary(folder: StageFolder, work: Work, seconds: dict[str, float], out: Pa
             f"{about['method']}, {100 * about['visible']:.1f} % visible",
         ),
     ]
+    left_out = work.facts["reconstruct"].get("left_out")
+    if left_out:
+        lines.append(("left out", f"{100 * left_out:.1f} % of the entries: visible, but too uncertain"))
     found = scored.get("metrics", {})
     told = found.get("tracks")
     if told:

@@ -115,14 +115,20 @@ class Work:
         asked = self._wishes
         names = {field.name for field in dataclasses.fields(get_method(asked.method).Options)}
         mesh = {"faces": self.faces} if "faces" in names and not {"faces", "grid"} & asked.options.keys() else {}
-        result = nrsfm.reconstruct(
-            self.tracks, method=asked.method, seed=asked.seed, progress=report, **asked.options, **mesh
-        )
+        tracks, options, told = self.tracks, dict(asked.options), {}
+        if "deviation" in self._arrays:
+            from nrsfm.tracking import usable
+
+            tracks, noise = usable(tracks, self._arrays["deviation"])
+            told = {"left_out": (tracks.n_missing - self.tracks.n_missing) / tracks.points[..., 0].size}
+            if noise > 0:
+                options.setdefault("noise_level", noise)
+        result = nrsfm.reconstruct(tracks, method=asked.method, seed=asked.seed, progress=report, **options, **mesh)
         report("writing", None)
         result.save(aside / RECONSTRUCTION)
         used = {name: value for name, value in result.options.items() if name != "seed"}
         warnings = [str(text) for text in result.diagnostics.get("warnings", [])]
-        return {"options": used, "faces": "came with the tracks" if mesh else None, "warnings": warnings}
+        return {"options": used, "faces": "came with the tracks" if mesh else None, "warnings": warnings, **told}
 
     def score(self, aside: Path, report: Report) -> dict[str, Any]:
         """Tracks and shapes against the truth, to ``metrics.json``; the truth of the tracked points beside it."""
@@ -227,7 +233,8 @@ class Work:
         from nrsfm.files.container import open_arrays
 
         entries = open_arrays(self._folder / TRACKS)
-        return {name: entries[name].read() for name in ("pixels", "colours", "faces")}
+        names = ("pixels", "colours", "faces", "deviation")
+        return {name: entries[name].read() for name in names if name in entries}  # old tracks have no deviations
 
     @cached_property
     def tracks(self) -> Tracks:

@@ -9,5 +9,15 @@ from __future__ import annotations
 from nrsfm.tracking.driver import track
 from nrsfm.tracking.options import METHODS, TrackingOptions
 from nrsfm.tracking.result import Layout, TrackingDiagnostics, TrackingResult, save_tracking
+from nrsfm.tracking.usable import usable
 
-__all__ = ["METHODS", "Layout", "TrackingDiagnostics", "TrackingOptions", "TrackingResult", "save_tracking", "track"]
+__all__ = [
+    "METHODS",
+    "Layout",
+    "TrackingDiagnostics",
+    "TrackingOptions",
+    "TrackingResult",
+    "save_tracking",
+    "track",
+    "usable",
+]

@@ -14,6 +14,7 @@ from nrsfm.numerics.threads import single_thread
 from nrsfm.options import split_options
 from nrsfm.progress import Report, silent
 from nrsfm.tracking import chaining, photometric, subspace
+from nrsfm.tracking.deviation import EXACT, Deviations
 from nrsfm.tracking.matching import SMOOTH, Template, despeckled, evened, noise_level, smoothing
 from nrsfm.tracking.options import METHODS, TrackingOptions
 from nrsfm.tracking.result import Layout, TrackingDiagnostics, TrackingResult
@@ -95,7 +96,12 @@ def track(
         template = Template(images, own, number, chosen)
         with _timed(seconds, "chaining"):
             chain = chaining.naive if method == "naive" else chaining.corrected
-            flows, trusts = chain(template, _counter(progress, "pairwise flow", count - 1))
+            counter = _counter(progress, "pairwise flow", (1 if method == "subspace" else 2) * (count - 1))
+            flows, trusts = chain(template, counter)
+            second = None
+            if method != "subspace":
+                other = chaining.corrected if method == "naive" else chaining.naive
+                second, _ = other(template, counter)
         rank, residual = 0, float("nan")
         if method == "subspace" and count > 2:
             with _timed(seconds, "revisiting"):
@@ -106,6 +112,7 @@ def track(
                 flows, trusts, found = subspace.refine(template, flows, trusts, counter)
                 rank, residual = found.basis.shape[1] - 1, found.residual
         if fitted:
+            second = flows.copy()
             with _timed(seconds, "photometric fit"):
                 counter = _counter(progress, "photometric fit", chosen.fine * count)
                 fine = Template(finer, own, number, chosen, photometric.FINE_WINDOW)
@@ -113,18 +120,26 @@ def track(
                 rank, residual = found.basis.shape[1] - 1, found.residual
         with _timed(seconds, "visibility"):
             every = masks if masks is not None and masks.ndim == 3 else None
-            result = _collect(template, flows, every, step)
-    tracks, confidence, pixels, scores = result
+            result = _collect(template, flows, second, fitted, every, step)
+    tracks, confidence, deviation, pixels, scores = result
     layout = Layout(pixels, int(step), _colour(frames, number)[pixels[:, 1], pixels[:, 0]], (width, height))
     shown = tracks.visible.mean(axis=1) if tracks.visible is not None else np.ones(count)
     diagnostics = TrackingDiagnostics(method, number, scores[0], scores[1], shown, rank, residual, seconds, chosen)
-    return TrackingResult(tracks, confidence, layout, diagnostics)
+    return TrackingResult(tracks, confidence, deviation, layout, diagnostics)
 
 
 def _collect(
-    template: Template, flows: np.ndarray, masks: np.ndarray | None, step: int
-) -> tuple[Tracks, np.ndarray, np.ndarray, np.ndarray]:
-    """Tracks, confidence (F, P), pixels (P, 2) and likeness and error of each frame (2, F)."""
+    template: Template,
+    flows: np.ndarray,
+    second: np.ndarray | None,
+    fitted: bool,
+    masks: np.ndarray | None,
+    step: int,
+) -> tuple[Tracks, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Tracks, confidence (F, P), deviation (F, P), pixels (P, 2) and likeness and error of each frame (2, F).
+
+    ``second`` (F, h, w, 2) is another estimate of the flows, ``fitted`` whether they come from the photometric fit.
+    """
     y, x = np.nonzero(template.inside)
     kept = ((y + template.top) % step == 0) & ((x + template.left) % step == 0)
     y, x = y[kept], x[kept]
@@ -133,22 +148,30 @@ def _collect(
     points = np.empty((count, len(x), 2), dtype=np.float32)
     visible = np.empty(points.shape[:2], dtype=bool)
     confidence = np.empty(points.shape[:2], dtype=np.float32)
+    deviation = np.full(points.shape[:2], np.inf, dtype=np.float32)
+    deviations = Deviations(template)
     scores = np.full((2, count), np.nan)
     least = threshold(template, flows)
     for f in range(count):
         points[f] = pixels + flows[f][y, x]
         if f == template.reference:
-            visible[f], confidence[f], scores[:, f] = True, 1.0, (1.0, 0.0)
+            visible[f], confidence[f], deviation[f], scores[:, f] = True, 1.0, EXACT, (1.0, 0.0)
             continue
         warped = template.sample(template.frames[f], flows[f])
         likeness = template.likeness(warped)
         seen, sure = judge(template, likeness, flows[f], None if masks is None else masks[f], least)
         visible[f], confidence[f] = seen[y, x], sure[y, x]
         if visible[f].any():
+            variance = deviations.window(warped)
+            if second is not None:
+                variance += deviations.disagreement(flows[f] - second[f])
+            if not fitted:
+                variance += deviations.disagreement(deviations.remainder(warped))
+            deviation[f] = np.where(visible[f], np.sqrt(variance[y, x]), np.inf)
             scores[0, f] = likeness[y, x][visible[f]].mean()
             away = np.abs(warped.astype(np.float32) - template.image)[y, x]
             scores[1, f] = away[visible[f]].mean()
-    return Tracks(points, visible), confidence, pixels, scores
+    return Tracks(points, visible), confidence, deviation, pixels, scores
 
 
 def _size(frames: Any) -> tuple[int, int, int]:

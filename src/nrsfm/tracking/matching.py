@@ -93,6 +93,11 @@ class Template:
         found: np.ndarray = cv2.GaussianBlur(image, (0, 0), self.window, borderType=cv2.BORDER_CONSTANT)
         return found
 
+    def average(self, image: np.ndarray) -> np.ndarray:
+        """Return the mean (h, w) over the window, within the mask."""
+        found: np.ndarray = self.blur(image * self.weight) / self._norm
+        return found
+
     def moments(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return an image (h, w) less its local mean, and its local variance (h, w)."""
         centred = image - self.blur(image * self.weight) / self._norm

@@ -29,7 +29,7 @@ from nrsfm.video.libraries import import_cv2
 FINE_BAND = (2.0, 0.5)  # pixels: normalisation and smoothing of the images of the second pass
 FINE_WINDOW = 5.0
 _WINDOW = 4.0  # pixels: deviation of the window of a step
-_SAMPLES = 2 * np.pi * _WINDOW**2 / 3  # independent pixels in it: neighbours' noise is alike
+SAMPLES = 2 * np.pi * _WINDOW**2 / 3  # independent pixels in it: neighbours' noise is alike
 _TRUST = (0.2, 0.7)  # likeness at which trust begins, and is full
 _LEAST_NOISE = 20.0  # variance, grey levels
 _FAR = 2.0  # pixels: what pulls further counts less
@@ -44,7 +44,8 @@ _WIDE = ((12, 3.0, 20.0, 0.7), (16, 2.5, 20.0, 0.7), (20, 2.0, 15.0, 0.7), (24, 
 _FINE = ((28, 2.0, 15.0, 0.5), (32, 1.5, 12.0, 0.5), (36, 1.5, 10.0, 0.5))
 
 
-def _gradient(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def gradient(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives (h, w) of an image to the right and down."""
     cv2 = import_cv2()
 
     return cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8), cv2.Sobel(
@@ -62,7 +63,7 @@ def _knowledge(
     centred, variance = template.moments(warped)
     trust = template.trust(template.likeness(warped), flow, _TRUST)[::step, ::step]
     rest = template.centred - centred * np.sqrt((template.variance + FLOOR) / (variance + FLOOR))
-    own = _gradient(warped)
+    own = gradient(warped)
     gx, gy = (slope[0] + own[0]) / 2, (slope[1] + own[1]) / 2
 
     def window(image: np.ndarray) -> np.ndarray:
@@ -72,7 +73,7 @@ def _knowledge(
         return found
 
     noise = window(rest * rest) / (window(np.ones_like(rest)) + 1e-3) + _LEAST_NOISE
-    scale = _SAMPLES / noise * trust
+    scale = SAMPLES / noise * trust
     xx, xy, yy, bx, by = (window(part) * scale for part in (gx * gx, gx * gy, gy * gy, gx * rest, gy * rest))
     # S (1 + d² S)⁻¹, and the pull likewise.
     d = deviation**2
@@ -149,11 +150,11 @@ def fit(wide: Template, fine: Template, flows: np.ndarray, advance: Callable[[],
     model = flows[:, ::step, ::step][:, inside].transpose(0, 2, 1).reshape(2 * frames, -1)
     broad = min(round(_WIDTH_SHARE * total), total - 1)
     found: Subspace | None = None
-    slope = _gradient(wide.image.astype(np.float32))
+    slope = gradient(wide.image.astype(np.float32))
     template = wide
     for n in range(total):
         if n == broad:
-            template, slope = fine, _gradient(fine.image.astype(np.float32))
+            template, slope = fine, gradient(fine.image.astype(np.float32))
         plan, part = (_WIDE, n / max(broad, 1)) if n < broad else (_FINE, (n - broad) / (total - broad))
         rank, sigma, pull, deviation = plan[int(part * len(plan))]
         rank = max(1, min(rank, options.rank, 2 * frames - 1, model.shape[1] - 1))

@@ -88,22 +88,26 @@ class TrackingDiagnostics:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrackingResult:
-    """Tracks of the reference pixels, with (F, P) float32 ``confidence`` in [0, 1] beside them.
+    """Tracks of the reference pixels, with (F, P) float32 ``confidence`` and ``deviation`` beside them.
 
-    Where a point is not visible its coordinates are the model's prediction; no claim is made about them.
+    ``confidence`` in [0, 1] tells whether the point is seen, ``deviation`` how far off it then may be: the standard
+    deviation of each coordinate in pixels (:mod:`nrsfm.tracking.deviation`). Where a point is not visible its
+    coordinates are the model's prediction; no claim is made about them, and the deviation is infinite.
     """
 
     tracks: Tracks
     confidence: np.ndarray
+    deviation: np.ndarray
     layout: Layout
     diagnostics: TrackingDiagnostics
 
 
 def save_tracking(result: TrackingResult, path: str | os.PathLike[str], *, overwrite: bool = True) -> None:
-    """Write tracks with confidence, pixels, colours and reference to .h5, .hdf5 or .npz.
+    """Write tracks with confidence, deviation, pixels, colours and reference to .h5, .hdf5 or .npz.
 
     The arrays ``tracks`` and ``visible`` are those that :func:`nrsfm.load_tracks` reads; ``confidence`` (F, P),
-    ``pixels`` (P, 2), ``colours`` (P, 3), ``faces`` (M, 3), ``image_size`` and ``reference`` lie beside them.
+    ``deviation`` (F, P), ``pixels`` (P, 2), ``colours`` (P, 3), ``faces`` (M, 3), ``image_size`` and ``reference`` lie
+    beside them.
 
     Raises
     ------
@@ -120,6 +124,7 @@ def save_tracking(result: TrackingResult, path: str | os.PathLike[str], *, overw
         "tracks": result.tracks.points,
         "visible": result.tracks.visible,
         "confidence": result.confidence,
+        "deviation": result.deviation,
         "pixels": result.layout.pixels,
         "colours": result.layout.colours,
         "faces": result.layout.faces().astype(np.int32),
