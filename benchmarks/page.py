@@ -95,9 +95,7 @@ def _machines(kept: dict[str, Any]) -> list[str]:
     for text, names in by_machine.items():
         whose = "Machine" if len(by_machine) == 1 else f"Machine for {', '.join(names)}"
         lines += [f"{whose}: {text}", ""]
-    current = store.code_digest()
-    digests = {name: _digests(section) for name, section in kept.items()}
-    stale = [name for name, found in digests.items() if found != {current}]
+    stale = [name for name, section in kept.items() if _digests(section) != {store.code_digest(name)}]
     if stale:
         lines += [f"**Measured with an earlier state of the code: {', '.join(stale)}.**", ""]
     return lines

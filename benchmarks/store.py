@@ -32,7 +32,9 @@ OUTPUT = ROOT / "bench-output"
 PAGE = ROOT / "docs" / "benchmarks.md"
 
 # Parts of the package that cannot change a number: a new picture does not make old results stale.
-_WITHOUT_NUMBERS = ("cli", "viewing", "experiments", "stages")
+_WITHOUT_NUMBERS = ("cli", "viewing", "experiments", "stages", "export")
+_OF_VIDEOS = ("tracking", "video")  # these bear on the section of that name alone
+_VIDEO_SECTION = "tracking"
 
 
 class DataAbsentError(Exception):
@@ -81,7 +83,7 @@ def write(section: str, values: dict[str, Any]) -> None:
     """Keep the values of a section, with the date, the machine and the code that they belong to."""
     from nrsfm.files.atomic import atomic_file
 
-    kept = {"date": today(), "code": code_digest(), "machine": machine(), "values": values}
+    kept = {"date": today(), "code": code_digest(section), "machine": machine(), "values": values}
     with atomic_file(OUTPUT / f"{section}.json") as stream:
         stream.write(json.dumps(kept, indent=1, allow_nan=False).encode())
 
@@ -96,15 +98,16 @@ def today() -> str:
     return datetime.datetime.now(datetime.UTC).date().isoformat()
 
 
-def code_digest() -> str:
-    """Digest of the package's code that bears on numbers, and of the linear algebra under it."""
+def code_digest(section: str = "") -> str:
+    """Digest of the package's code that bears on a section's numbers, and of the linear algebra under it."""
     import numpy
     import scipy
 
     digest = hashlib.sha256(f"numpy {numpy.__version__} scipy {scipy.__version__}".encode())
     package = ROOT / "src" / "nrsfm"
+    without = _WITHOUT_NUMBERS if section == _VIDEO_SECTION else _WITHOUT_NUMBERS + _OF_VIDEOS
     for path in sorted(package.rglob("*.py")):
         relative = path.relative_to(package)
-        if relative.parts[0] not in _WITHOUT_NUMBERS:
+        if relative.parts[0] not in without:
             digest.update(relative.as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:12]

@@ -57,7 +57,7 @@ TUNED = ("face, realistic", "flag, plain")
 
 def measure(context: Context) -> dict[str, Any]:
     """Each video in a process of its own, with those methods whose numbers are not kept already."""
-    digest = store.code_digest()
+    digest = store.code_digest("tracking")
     before = store.read("tracking")
     records: dict[str, Any] = dict(before["values"].get("records", {})) if before else {}
     plan = {video.name: video for video in VIDEOS}

@@ -134,7 +134,7 @@ def test_precision_and_recall_of_an_accusation_that_is_half_right(sheet, monkeyp
 def _kept(monkeypatch, tmp_path, section, records):
     monkeypatch.setattr(store, "OUTPUT", tmp_path)
     monkeypatch.setattr(store, "data_folder", lambda: tmp_path)
-    monkeypatch.setattr(store, "code_digest", lambda: "now")
+    monkeypatch.setattr(store, "code_digest", lambda *_: "now")
     store.write(section, {"records": records})
 
 

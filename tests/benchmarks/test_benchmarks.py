@@ -80,7 +80,7 @@ def test_the_page_lists_what_was_missed_what_failed_and_what_is_stale(tmp_path, 
     monkeypatch.setattr(store, "ROOT", tmp_path)
     monkeypatch.setattr(store, "OUTPUT", tmp_path / "kept")
     monkeypatch.setattr(store, "PAGE", tmp_path / "benchmarks.md")
-    monkeypatch.setattr(store, "code_digest", lambda: "new")
+    monkeypatch.setattr(store, "code_digest", lambda *_: "new")
     records = _records(0.05)
     key = next(iter(records))
     records[key] = {"error": "ValueError: no", "code": "old"}
@@ -94,3 +94,23 @@ def test_the_page_lists_what_was_missed_what_failed_and_what_is_stale(tmp_path, 
     assert f"- {key}: ValueError: no" in text
     assert "Measured with an earlier state of the code: accuracy" in text
     assert text.count("**Not measured yet.**") == len(page.SECTIONS) - 1
+
+
+def test_code_of_videos_makes_only_their_section_old(tmp_path, monkeypatch):
+    package = tmp_path / "src" / "nrsfm"
+    for part in ("tracking", "viewing", "methods"):
+        (package / part).mkdir(parents=True)
+        (package / part / "code.py").write_text("1")
+    monkeypatch.setattr(store, "ROOT", tmp_path)
+
+    def both() -> list[str]:
+        return [store.code_digest(), store.code_digest("tracking")]
+
+    before = both()
+    (package / "viewing" / "code.py").write_text("2")
+    assert both() == before
+    (package / "tracking" / "code.py").write_text("2")
+    changed = both()
+    assert [a == b for a, b in zip(changed, before, strict=True)] == [True, False]
+    (package / "methods" / "code.py").write_text("2")
+    assert not set(both()) & set(changed)

@@ -26,7 +26,7 @@ def _shapes():
 def kept(monkeypatch, tmp_path):
     """Results go to a folder of the test's; the tasks are counted and answered at once."""
     monkeypatch.setattr(store, "OUTPUT", tmp_path)
-    monkeypatch.setattr(store, "code_digest", lambda: "now")
+    monkeypatch.setattr(store, "code_digest", lambda *_: "now")
     monkeypatch.setattr(store, "data_folder", lambda: tmp_path)
     asked = []
 
@@ -61,7 +61,7 @@ def test_each_video_is_one_process_and_is_kept(kept):
 
 def test_other_code_makes_kept_numbers_stale(kept, monkeypatch):
     tracking.measure(Context(only=("ict",)))
-    monkeypatch.setattr(store, "code_digest", lambda: "later")
+    monkeypatch.setattr(store, "code_digest", lambda *_: "later")
     kept.clear()
     tracking.measure(Context(only=("ict",)))
     assert kept == [("ict-rom99", tracking.METHODS)]
