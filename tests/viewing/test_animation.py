@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from nrsfm import Reconstruction, Tracks
 from nrsfm.errors import FileError, InputError
@@ -72,7 +73,7 @@ def test_files_loop_and_hold_the_pictures(tmp_path, suffix):
     from PIL import Image, ImageSequence
 
     made, path = smooth(), tmp_path / f"ä b{suffix}"
-    size, (width, height) = write_animation(made, path)
+    size, (width, height), _ = write_animation(made, path)
     assert size == path.stat().st_size
     assert (width, height) == (400, 120)
     with Image.open(path) as found:
@@ -94,13 +95,35 @@ def test_a_film_holds_the_pictures(tmp_path):
     assert np.abs(np.array(shown) - made.pictures).mean() < 8
 
 
-def test_what_is_too_large_gets_smaller_until_it_cannot(tmp_path, monkeypatch):
+def test_what_is_too_large_loses_colours_then_pixels_then_pictures(tmp_path):
     made = smooth(count=4)
-    full = write_animation(made, tmp_path / "a.gif")[0]
-    size, (width, height) = write_animation(made, tmp_path / "b.gif", megabytes=0.6 * full / 1e6)
-    assert size <= 0.6 * full
+    full, size, count = write_animation(made, tmp_path / "a.gif")
+    assert (size, count) == ((400, 120), 4)
+    steps = []
+    for part in (0.9, 0.5, 0.3, 0.2):
+        length, size, count = write_animation(made, tmp_path / f"{part}.gif", megabytes=part * full / 1e6)
+        assert length <= part * full
+        assert size[1] / size[0] == pytest.approx(120 / 400, rel=0.03)
+        steps.append((size[0], count))
+    assert steps[0] == (400, 4)
+    assert steps[-1][1] == 2
+    assert min(width for width, _ in steps) >= 240
+    assert all(width >= 320 for width, count in steps if count == 4)
+    with Image.open(tmp_path / "0.2.gif") as found:
+        assert found.info["duration"] == 140
+
+
+def test_a_film_that_is_too_large_loses_pixels(tmp_path):
+    made = smooth(count=4)
+    full = write_animation(made, tmp_path / "a.webp")[0]
+    size, (width, _), count = write_animation(made, tmp_path / "b.webp", megabytes=0.8 * full / 1e6)
+    assert size <= 0.8 * full
     assert 240 <= width < 400
-    assert height / width == pytest.approx(120 / 400, rel=0.03)
+    assert count == 4
+
+
+def test_what_does_not_get_small_enough_is_not_written(tmp_path):
+    made = smooth(count=4)
     with pytest.raises(FileError, match=r"more than the 0\.001 MB allowed"):
         write_animation(made, tmp_path / "c.gif", megabytes=0.001)
     assert not (tmp_path / "c.gif").exists()

@@ -104,10 +104,10 @@ def _animate(found: Run, given: Any, sources: Sources, pictures: Any, report: An
         report=report,
     )
     report("writing", None)
-    size, (width, height) = write_animation(
+    size, (width, height), count = write_animation(
         animation, given.animation, megabytes=given.megabytes, overwrite=given.overwrite
     )
-    return f"{given.animation} ({size / 1e6:.1f} MB, {width} × {height} pixels, {len(animation.pictures)} pictures)"
+    return f"{given.animation} ({size / 1e6:.1f} MB, {width} × {height} pixels, {count} pictures)"
 
 
 def _check_targets(given: Any, out: Path | None) -> None:
