@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import nrsfm
-from nrsfm.cli.outputs import OUTPUT_NAMES
 from nrsfm.datasets.synthetic import face_sequence
 from nrsfm.reconstruction import load_reconstruction
+from nrsfm.stages.run_folder import OUTPUT_NAMES
 
 
 @pytest.fixture(scope="module")

@@ -1,33 +1,17 @@
-"""The output folder of a run: what it may hold, its configuration and its log."""
+"""What a run writes beside its result: versions, and its log with the time of every stage."""
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import platform
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from nrsfm.progress import Report
 
-RECONSTRUCTION, CONFIG, METRICS, LOG = "reconstruction.npz", "config.json", "metrics.json", "log.txt"
-PICTURES = ("overview", "shapes", "error", "uncertainty", "groups", "convergence", "tracks")
-OUTPUT_NAMES = (RECONSTRUCTION, CONFIG, METRICS, LOG, *(f"{name}.png" for name in PICTURES))
-"""All that a run writes, and so all that overwriting an output may delete."""
-REPORT = "report.html"
-"""What ``nrsfm report`` adds: of the old run, so overwriting deletes it as well."""
-
 _LIBRARIES = ("numpy", "scipy", "threadpoolctl", "h5py", "matplotlib")
-
-
-def digest(path: str | Path) -> dict[str, Any]:
-    """Return name, size in bytes and SHA-256 of a file."""
-    with open(path, "rb") as stream:
-        sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
-        return {"path": str(path), "bytes": stream.tell(), "sha256": sha256}
 
 
 def versions() -> dict[str, str]:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from nrsfm.cli import running
 from nrsfm.cli.arguments import Parser
 from nrsfm.cli.inputs import Inputs
-from nrsfm.cli.outputs import digest
 from nrsfm.cli.scores import FRAMES_OF_TRUTH, Truth
 from nrsfm.progress import Report
+from nrsfm.stages.digest import digest
 
 if TYPE_CHECKING:
     from nrsfm.tracks import Tracks

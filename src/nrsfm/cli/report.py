@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nrsfm.cli.arguments import Parser
-from nrsfm.cli.outputs import digest
 from nrsfm.cli.reconstruct import add_reading, add_truth, drawing_aids, image_size, load_truth, read_tracks
 from nrsfm.cli.text import columns
 from nrsfm.cli.view import add_showing, check_fps, given_colours, shown_edges, shown_faces
 from nrsfm.errors import FileError, NrsfmError, OptionError
+from nrsfm.stages.digest import digest
 
 if TYPE_CHECKING:
     from nrsfm.viewing.report import Run, Sources

@@ -13,7 +13,7 @@ from typing import Any
 
 from nrsfm.cli import running
 from nrsfm.cli.arguments import Parser, add_options, given_options
-from nrsfm.cli.outputs import CONFIG, LOG, REPORT, Stages, limited_threads, log_to
+from nrsfm.cli.outputs import Stages, limited_threads, log_to
 from nrsfm.cli.reconstruct import add_truth
 from nrsfm.cli.stage_progress import StageProgress
 from nrsfm.cli.summary import summary
@@ -22,6 +22,7 @@ from nrsfm.cli.track import add_video, reference_frame
 from nrsfm.cli.work import Wishes, Work
 from nrsfm.errors import FileError, InputError, OptionError, suggest
 from nrsfm.stages import Stage, StageFolder, is_same, is_there, open_stages
+from nrsfm.stages.run_folder import CONFIG, LOG, REPORT
 
 _VERB = "nrsfm run"
 _LATER = {"score", "draw", "export", "report"}

@@ -13,18 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from nrsfm.cli.arguments import Parser, add_options, flag_of, given_options
 from nrsfm.cli.inputs import Inputs
-from nrsfm.cli.outputs import (
-    CONFIG,
-    LOG,
-    METRICS,
-    OUTPUT_NAMES,
-    RECONSTRUCTION,
-    REPORT,
-    Stages,
-    limited_threads,
-    log_to,
-    versions,
-)
+from nrsfm.cli.outputs import Stages, limited_threads, log_to, versions
 from nrsfm.cli.scores import scores
 from nrsfm.cli.summary import summary
 from nrsfm.cli.text import to_json
@@ -33,6 +22,7 @@ from nrsfm.files.atomic import atomic_folder
 from nrsfm.numerics.threads import single_thread
 from nrsfm.options import split_options
 from nrsfm.progress import Report, TerminalProgress, silent
+from nrsfm.stages.run_folder import CONFIG, LOG, METRICS, OUTPUT_NAMES, RECONSTRUCTION, REPORT
 
 if TYPE_CHECKING:
     import argparse

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nrsfm.cli.inputs import Inputs
-from nrsfm.cli.outputs import LOG, METRICS, RECONSTRUCTION, versions
+from nrsfm.cli.outputs import versions
 from nrsfm.cli.scores import Truth, scores
 from nrsfm.cli.text import to_json
 from nrsfm.numerics.threads import single_thread
 from nrsfm.progress import Report
+from nrsfm.stages.run_folder import LOG, METRICS, RECONSTRUCTION
 
 if TYPE_CHECKING:
     from nrsfm.reconstruction import Reconstruction

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nrsfm.errors import FileError
+from nrsfm.stages.digest import digest
 
 
 def identity(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -29,20 +30,19 @@ def identity(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     files = _files(path)
     whole = hashlib.sha256()
-    size = 0
+    size, alone = 0, ""
     try:
         stamp = _stamp(files)
         for name, file in files:
-            with open(file, "rb") as stream:
-                content = hashlib.file_digest(stream, "sha256")
-                size += stream.tell()
+            content = digest(file)
+            size += content["bytes"]
             if name:
-                whole.update(os.fsencode(name) + b"\0" + content.digest())
+                whole.update(os.fsencode(name) + b"\0" + bytes.fromhex(content["sha256"]))
             else:
-                whole = content
+                alone = content["sha256"]
     except OSError as error:
         raise FileError(f"cannot read '{path}': {error.strerror or error}") from error
-    return {"path": os.fspath(path), "bytes": size, "stamp": stamp, "sha256": whole.hexdigest()}
+    return {"path": os.fspath(path), "bytes": size, "stamp": stamp, "sha256": alone or whole.hexdigest()}
 
 
 def is_same(path: str | os.PathLike[str], kept: Any) -> bool:
@@ -71,8 +71,8 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, np.ndarray):
         content = np.ascontiguousarray(value)
-        digest = hashlib.sha256(content.tobytes()).hexdigest()
-        return {"dtype": str(content.dtype), "shape": list(content.shape), "sha256": digest}
+        sha256 = hashlib.sha256(content.tobytes()).hexdigest()
+        return {"dtype": str(content.dtype), "shape": list(content.shape), "sha256": sha256}
     if isinstance(value, np.generic):
         return value.item()
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
@@ -94,8 +94,8 @@ def _files(path: str | os.PathLike[str]) -> list[tuple[str, Path]]:
 
 
 def _stamp(files: list[tuple[str, Path]]) -> str:
-    digest = hashlib.sha256()
+    whole = hashlib.sha256()
     for name, file in files:
         state = file.stat()
-        digest.update(os.fsencode(name) + f"\0{state.st_size} {state.st_mtime_ns}\n".encode())
-    return digest.hexdigest()
+        whole.update(os.fsencode(name) + f"\0{state.st_size} {state.st_mtime_ns}\n".encode())
+    return whole.hexdigest()

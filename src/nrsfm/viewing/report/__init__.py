@@ -14,7 +14,8 @@ import numpy as np
 
 from nrsfm.errors import FileError, InputError
 from nrsfm.progress import Report, silent
-from nrsfm.viewing.report.folder import REPORT, Run, read_run
+from nrsfm.stages.run_folder import REPORT
+from nrsfm.viewing.report.folder import Run, read_run
 
 __all__ = ["REPORT", "Run", "Sources", "make_report", "read_run", "write_report"]
 

@@ -10,9 +10,8 @@ from typing import Any
 
 from nrsfm.errors import FileError
 from nrsfm.reconstruction import Reconstruction, load_reconstruction
+from nrsfm.stages.run_folder import CONFIG, LOG, METRICS, RECONSTRUCTION
 
-RECONSTRUCTION, CONFIG, METRICS, LOG = "reconstruction.npz", "config.json", "metrics.json", "log.txt"
-REPORT = "report.html"
 _LOG_END = 40_000  # characters of a long log that are shown
 
 
