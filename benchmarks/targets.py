@@ -71,6 +71,7 @@ AUTO_REAL = {"back_real126": 0.055, "back_real245": 0.060}
 NEVER_WORSE = 1.05  # times the better of Algorithms 1 and 2
 ROBUST = {"30% missing in blocks": 1.25, "5% gross outliers": 1.15}  # times the error with complete tracks
 AUTO_TIME = 4.0  # times Algorithm 2's
+REPAIR_GROWTH = 1.1  # times linear growth with the number of points
 
 # Tracking.
 TRACK_RATIO = 0.5  # times the end-point error of the naive chain, over 99 frames

@@ -45,7 +45,7 @@ def sequence_of(data: Data) -> Any:
         sequence = sequence.with_noise(data.noise, data.seed)
     tracks, wrong = sequence.tracks, None
     if data.damage:
-        tracks, wrong = _damaged(whole, sequence, chosen, data)
+        tracks, wrong = damaged(whole, sequence, chosen, data)
     note = {**sequence.note, "data": data, "wrong": wrong}
     return dataclasses.replace(sequence, tracks=tracks, note=note)
 
@@ -79,7 +79,7 @@ DAMAGES = (OCCLUDED, BACK, RANDOM, OUTLIERS, DRIFT)
 """Words after a whole percentage of the entries: "30% missing in blocks"."""
 
 
-def _damaged(whole: Any, sequence: Any, chosen: Any, data: Data) -> tuple[Any, Any]:
+def damaged(whole: Any, sequence: Any, chosen: Any, data: Data) -> tuple[Any, Any]:
     """Damaged tracks, and the mask (F, P) of entries that are wrong, or None."""
     import numpy as np
 

@@ -42,6 +42,7 @@ FAR_OFF, LEAST_FAR_OFF = 6.0, 0.02
 _CHUNK, _BLOCK = 256, 4096  # points at a time: with systems of their own, and in sums over all
 _RAYLEIGH = 1.177  # median length of a two-dimensional Gaussian vector, in standard deviations of a coordinate
 _EXACT = 1e-5  # least noise of the regression, in units of the rms
+_MOST_DIRECTIONS = 96  # of the points' distribution: a point costs their cube, and dense noisy shapes have hundreds
 _WEAK = 1e-6  # basis shapes of less than this share of the largest are left out
 _CELL, _MOST_CELLS = 80, 50  # points of a cell at least, and the number of cells at most
 _COORDINATES = 10  # principal directions of the coefficients in which cells are found
@@ -270,10 +271,11 @@ def _solved(
 
 
 def _distribution(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (3K,) and a square root (3K, 3K) of the covariance of the points' coefficients (P, 3K)."""
+    """Mean (3K,) and a square root (3K, q) of the covariance of the points' coefficients (P, 3K), its leading part."""
     mean = coefficients.mean(axis=0)
     centred = coefficients - mean
     squares, directions = np.linalg.eigh(centred.T @ centred / len(centred))
+    squares, directions = squares[-_MOST_DIRECTIONS:], directions[:, -_MOST_DIRECTIONS:]
     return mean, directions * np.sqrt(np.maximum(squares, 1e-12 * squares[-1]))
 
 
@@ -294,5 +296,5 @@ def _of_cell(
     expected = _LOCAL * everyone[1]
     squares, directions = np.linalg.eigh((centred.T @ centred + _SHARED_SPREAD * expected) / (count + _SHARED_SPREAD))
     kept = squares > max((_UNSEEN * noise) ** 2, 1e-8 * squares[-1])
-    kept[-1] = True
+    kept[:-_MOST_DIRECTIONS], kept[-1] = False, True
     return mean, directions[:, kept] * np.sqrt(np.maximum(squares[kept], 0.0))

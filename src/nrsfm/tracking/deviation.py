@@ -36,14 +36,17 @@ _FLAT = 1.0  # grey levels squared per pixel squared: gradients below are roundi
 
 
 class Deviations:
-    """What the reference's windows know, once for all frames."""
+    """What the reference's windows know, once for all frames.
 
-    def __init__(self, template: Template) -> None:
+    ``scale``: how many times the images were enlarged, which adds pixels but no independent ones.
+    """
+
+    def __init__(self, template: Template, scale: float = 1.0) -> None:
         self._template = template
         gx, gy = photometric.gradient(template.image.astype(np.float32))
         xx, xy, yy = (template.average(part) for part in (gx * gx, gx * gy, gy * gy))
         least = (xx + yy) / 2 - np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
-        self._known = photometric.SAMPLES * np.maximum(least, 0) + _FLAT
+        self._known = photometric.SAMPLES / scale**2 * np.maximum(least, 0) + _FLAT
 
     def window(self, warped: np.ndarray) -> np.ndarray:
         """Return the variance (h, w), pixels², that the window leaves to a frame seen through the flow, (h, w)."""

@@ -19,6 +19,7 @@ from nrsfm.tracking.matching import SMOOTH, Template, despeckled, evened, noise_
 from nrsfm.tracking.options import METHODS, TrackingOptions
 from nrsfm.tracking.result import Layout, TrackingDiagnostics, TrackingResult
 from nrsfm.tracking.revisiting import revisit
+from nrsfm.tracking.scale import Sampler, Scale
 from nrsfm.tracking.visibility import judge, threshold
 from nrsfm.tracks import Tracks
 from nrsfm.video.libraries import import_cv2
@@ -81,19 +82,22 @@ def track(
             if not own[::step, ::step].any():
                 raise InputError(f"mask: at least one point of the grid is needed in frame {number}, received none")
             fitted = method == "subspace" and count > 2 and chosen.fine > 0
-            images = np.empty((count, height, width), dtype=np.uint8)
+            scale = Scale(own, 0.0 if method == "naive" else chosen.object_size)
+            images = np.empty((count, *scale.shape), dtype=np.uint8)
             finer = np.empty_like(images) if fitted else images
             for f in range(count):
                 image = _grey(frames, f)
                 noise = 0.0
                 if method != "naive":
                     image = despeckled(image)
+                    image = scale.enlarged(image)
                     noise = noise_level(image)
                 images[f] = evened(image, chosen.normalisation, smoothing(SMOOTH, noise))
                 if fitted:
                     finer[f] = evened(image, photometric.FINE_BAND[0], smoothing(photometric.FINE_BAND[1], noise))
                 progress("reading frames", (f + 1) / count)
-        template = Template(images, own, number, chosen)
+        inside = scale.enlarged_mask(own)
+        template = Template(images, inside, number, chosen)
         with _timed(seconds, "chaining"):
             chain = chaining.naive if method == "naive" else chaining.corrected
             counter = _counter(progress, "pairwise flow", (1 if method == "subspace" else 2) * (count - 1))
@@ -115,63 +119,65 @@ def track(
             second = flows.copy()
             with _timed(seconds, "photometric fit"):
                 counter = _counter(progress, "photometric fit", chosen.fine * count)
-                fine = Template(finer, own, number, chosen, photometric.FINE_WINDOW)
+                fine = Template(finer, inside, number, chosen, photometric.FINE_WINDOW)
                 found = photometric.fit(template, fine, flows, counter)
                 rank, residual = found.basis.shape[1] - 1, found.residual
         with _timed(seconds, "visibility"):
             every = masks if masks is not None and masks.ndim == 3 else None
-            result = _collect(template, flows, second, fitted, every, step)
-    tracks, confidence, deviation, pixels, scores = result
+            y, x = np.nonzero(own[::step, ::step])
+            pixels = step * np.stack([x, y], axis=1).astype(np.int32)
+            tracks, confidence, deviation, scores = _collect(template, scale, pixels, flows, second, fitted, every)
     layout = Layout(pixels, int(step), _colour(frames, number)[pixels[:, 1], pixels[:, 0]], (width, height))
     shown = tracks.visible.mean(axis=1) if tracks.visible is not None else np.ones(count)
-    diagnostics = TrackingDiagnostics(method, number, scores[0], scores[1], shown, rank, residual, seconds, chosen)
+    diagnostics = TrackingDiagnostics(
+        method, number, scores[0], scores[1], shown, rank, residual / scale.factor, scale.factor, seconds, chosen
+    )
     return TrackingResult(tracks, confidence, deviation, layout, diagnostics)
 
 
 def _collect(
     template: Template,
+    scale: Scale,
+    pixels: np.ndarray,
     flows: np.ndarray,
     second: np.ndarray | None,
     fitted: bool,
     masks: np.ndarray | None,
-    step: int,
-) -> tuple[Tracks, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Tracks, confidence (F, P), deviation (F, P), pixels (P, 2) and likeness and error of each frame (2, F).
+) -> tuple[Tracks, np.ndarray, np.ndarray, np.ndarray]:
+    """Tracks, confidence (F, P) and deviation (F, P) of the pixels (P, 2), likeness and error of each frame (2, F).
 
     ``second`` (F, h, w, 2) is another estimate of the flows, ``fitted`` whether they come from the photometric fit.
     """
-    y, x = np.nonzero(template.inside)
-    kept = ((y + template.top) % step == 0) & ((x + template.left) % step == 0)
-    y, x = y[kept], x[kept]
-    pixels = np.stack([x + template.left, y + template.top], axis=1).astype(np.int32)
+    sampled = Sampler(scale, pixels, (template.left, template.top))
     count = len(flows)
-    points = np.empty((count, len(x), 2), dtype=np.float32)
+    points = np.empty((count, len(pixels), 2), dtype=np.float32)
     visible = np.empty(points.shape[:2], dtype=bool)
     confidence = np.empty(points.shape[:2], dtype=np.float32)
     deviation = np.full(points.shape[:2], np.inf, dtype=np.float32)
-    deviations = Deviations(template)
+    deviations = Deviations(template, scale.factor)
     scores = np.full((2, count), np.nan)
     least = threshold(template, flows)
     for f in range(count):
-        points[f] = pixels + flows[f][y, x]
+        flow = flows[f]
+        points[f] = pixels + sampled(flow) / scale.factors
         if f == template.reference:
             visible[f], confidence[f], deviation[f], scores[:, f] = True, 1.0, EXACT, (1.0, 0.0)
             continue
-        warped = template.sample(template.frames[f], flows[f])
+        warped = template.sample(template.frames[f], flow)
         likeness = template.likeness(warped)
-        seen, sure = judge(template, likeness, flows[f], None if masks is None else masks[f], least)
-        visible[f], confidence[f] = seen[y, x], sure[y, x]
+        seen, sure = judge(template, likeness, flow, None if masks is None else scale.enlarged_mask(masks[f]), least)
+        visible[f], confidence[f] = sampled(seen), sampled(sure)
         if visible[f].any():
             variance = deviations.window(warped)
             if second is not None:
-                variance += deviations.disagreement(flows[f] - second[f])
+                variance += deviations.disagreement(flow - second[f])
             if not fitted:
                 variance += deviations.disagreement(deviations.remainder(warped))
-            deviation[f] = np.where(visible[f], np.sqrt(variance[y, x]), np.inf)
-            scores[0, f] = likeness[y, x][visible[f]].mean()
-            away = np.abs(warped.astype(np.float32) - template.image)[y, x]
-            scores[1, f] = away[visible[f]].mean()
-    return Tracks(points, visible), confidence, deviation, pixels, scores
+            deviation[f] = np.where(visible[f], np.sqrt(sampled(variance)) / scale.factor, np.inf)
+            scores[0, f] = sampled(likeness)[visible[f]].mean()
+            away = np.abs(warped.astype(np.float32) - template.image)
+            scores[1, f] = sampled(away)[visible[f]].mean()
+    return Tracks(points, visible), confidence, deviation, scores
 
 
 def _size(frames: Any) -> tuple[int, int, int]:

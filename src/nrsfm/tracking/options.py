@@ -28,6 +28,12 @@ class TrackingOptions:
     sweeps: int = option(
         3, "passes over the video that look for what the chain of pairwise flow lost", minimum=0, maximum=10
     )
+    object_size: float = option(
+        0.0,
+        "pixels: images are enlarged, at most twice, until the square root of the object's area is so many (240 helps "
+        "small faces); 0: never",
+        minimum=0,
+    )
     grid: int = option(
         4, "pixels between the samples on which coefficients of the basis are held", minimum=1, maximum=32
     )

@@ -69,6 +69,8 @@ class TrackingDiagnostics:
     residual
         Root mean square distance of trusted flow from the subspace, pixels, or after the photometric fit what windows
         of the images would still move it by; NaN where there is no subspace.
+    scale
+        How many times the images were enlarged for matching.
     seconds
         Wall time of each stage, by name.
     options
@@ -82,6 +84,7 @@ class TrackingDiagnostics:
     visible: np.ndarray
     rank: int
     residual: float
+    scale: float
     seconds: dict[str, float]
     options: TrackingOptions
 
