@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from nrsfm.reconstruction import Reconstruction
+from nrsfm.repair import resection
 from nrsfm.repair.options import Repaired
 from nrsfm.repair.resection import resect, resect_by_cells, trusted_points
 
@@ -157,3 +158,19 @@ def test_trusted_are_those_with_the_least_doubt():
     few = trusted_points(Repaired(np.zeros((5, 400, 2)), kept, None, doubt=doubt, doubt_level=0.0), frames=5)
     assert few.sum() == 100
     assert trusted_points(Repaired(np.zeros((200, 400, 2)), kept, None, doubt=doubt), frames=200).sum() == 399
+
+
+def test_distributions_have_the_leading_directions_alone():
+    """A point costs the cube of their number."""
+    rng = np.random.default_rng(0)
+    scales = np.geomspace(1.0, 1e-2, 150)
+    coefficients = rng.standard_normal((2_000, 150)) * scales
+    mean, root = resection._distribution(coefficients)
+    np.testing.assert_allclose(mean, coefficients.mean(axis=0))
+    assert root.shape == (150, 96)
+    values, vectors = np.linalg.eigh(np.cov(coefficients.T, ddof=0))
+    leading = vectors[:, -96:]
+    np.testing.assert_allclose(root @ root.T, (leading * values[-96:]) @ leading.T, atol=1e-12)
+    everyone = coefficients.mean(axis=0), np.cov(coefficients.T, ddof=0)
+    assert resection._of_cell(coefficients[:300], everyone, 1e-3)[1].shape == (150, 96)
+    assert resection._of_cell(coefficients[:300, :5], (everyone[0][:5], everyone[1][:5, :5]), 1e-3)[1].shape == (5, 5)
