@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks import targets
 from benchmarks.runs import Case, run_cases
 from benchmarks.store import Context
-from benchmarks.tables import amount, error, table
+from benchmarks.tables import amount, error, noise_words, table
 from benchmarks.tracks import Data
 
 TITLE = "Parts of the default method switched off"
@@ -80,7 +80,7 @@ def render(values: dict[str, Any]) -> list[str]:
     for noise in _NOISES:
         for switch in (None, ("gauge", "method"), ("camera_method", "rigid"), ("camera_path", "free")):
             found = [records.get(_case(s, noise, switch).key, {}).get("global") for s in SEQUENCES]
-            rows.append([f"{100 * noise:g}% noise" if noise else "clean", _title(switch), *map(error, found)])
+            rows.append([noise_words(noise), _title(switch), *map(error, found)])
     lines += ["**One alignment for the sequence**, which feels the object frame and the cameras", ""]
     return lines + table(["tracks", "off", *map(targets.marked, SEQUENCES)], rows)
 

@@ -9,7 +9,7 @@ from typing import Any
 from benchmarks import targets
 from benchmarks.runs import Case, run_cases
 from benchmarks.store import Context
-from benchmarks.tables import Check, degrees, error, table
+from benchmarks.tables import Check, degrees, error, noise_words, table
 from benchmarks.tracks import Data
 
 TITLE = "Accuracy of the published algorithms on dense sequences"
@@ -87,7 +87,7 @@ def render(values: dict[str, Any]) -> list[str]:
             for noise in (0.0, targets.NOISE):
                 for method in targets.METHODS if name != "rotation" else targets.METHODS[:1]:
                     numbers = (_mean(records, s, noise, cameras, method, name) for s in targets.SEQUENCES)
-                    what = f"{cameras}, {'3% noise' if noise else 'clean'}"
+                    what = f"{cameras}, {noise_words(noise)}"
                     rows.append([what, f"`{method}`" if name != "rotation" else "any", *map(text, numbers)])
         lines += [f"**{title}**{' (' + remark + ')' if remark else ''}", ""]
         lines += table(["cameras, tracks", "method", *targets.SEQUENCES], rows)

@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks import targets
 from benchmarks.runs import Case, run_cases
 from benchmarks.store import Context
-from benchmarks.tables import Check, degrees, error, table
+from benchmarks.tables import Check, degrees, error, noise_words, table
 from benchmarks.tracks import WITHOUT_TRUTH, Data
 
 TITLE = "Accuracy of the default method"
@@ -63,16 +63,12 @@ def _five(records: Records, noise: float, method: str, name: str = "per_frame") 
     return [*values, mean(known) if len(known) == len(values) else None]
 
 
-def _noise(noise: float) -> str:
-    return f"{100 * noise:g}% noise" if noise else "clean"
-
-
 def _dense_checks(records: Records, noise: float) -> list[Check]:
     limits = (*targets.AUTO_ACCURACY[noise], targets.AUTO_MEAN[noise])
     names = (*map(targets.marked, targets.SEQUENCES), "mean of the five")
     values = _five(records, noise, targets.AUTO)
     return [
-        Check(f"`{targets.AUTO}`, {_noise(noise)}: {name}", value, limit)
+        Check(f"`{targets.AUTO}`, {noise_words(noise)}: {name}", value, limit)
         for name, value, limit in zip(names, values, limits, strict=True)
     ]
 
@@ -132,15 +128,19 @@ def render(values: dict[str, Any]) -> list[str]:
     head = ["tracks", "method", *map(targets.marked, targets.SEQUENCES), "mean"]
     rows = []
     for noise in _NOISES:
-        rows.append([_noise(noise), f"`{targets.AUTO}`", *(check.cell() for check in _dense_checks(records, noise))])
-        rows += [[_noise(noise), f"`{method}`", *map(error, _five(records, noise, method))] for method in targets.OWN]
+        rows.append(
+            [noise_words(noise), f"`{targets.AUTO}`", *(check.cell() for check in _dense_checks(records, noise))]
+        )
+        rows += [
+            [noise_words(noise), f"`{method}`", *map(error, _five(records, noise, method))] for method in targets.OWN
+        ]
     lines += [*table(head, rows), *_spread(records)]
     for name, title, text in (
         ("global", "One alignment for the sequence** (object frame; errors of the cameras count too)**", error),
         ("rotation", "Error of the cameras** (mean angle after one common alignment)**", degrees),
     ):
         rows = [
-            [_noise(noise), f"`{method}`", *map(text, _five(records, noise, method, name))]
+            [noise_words(noise), f"`{method}`", *map(text, _five(records, noise, method, name))]
             for noise in _NOISES
             for method in METHODS
         ]

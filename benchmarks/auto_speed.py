@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks import quiet, targets
 from benchmarks.children import TIMED_THREADS, run_task
 from benchmarks.store import Context, data_folder
-from benchmarks.tables import Check, amount, table
+from benchmarks.tables import Check, amount, noise_words, table
 
 TITLE = "Speed of the default method"
 _SEQUENCE = "face-seq3"
@@ -32,13 +32,9 @@ def _run(values: dict[str, Any], noise: float, method: str) -> dict[str, Any]:
     return run
 
 
-def _tracks(noise: float) -> str:
-    return f"{100 * noise:g}% noise" if noise else "clean"
-
-
 def _check(values: dict[str, Any], noise: float) -> Check:
     own, other = (median(_run(values, noise, method)["seconds"]) for method in _METHODS)
-    what = f"29,299 × 99, {_tracks(noise)}: time of `{targets.AUTO}` / time of `{_OTHER}`"
+    what = f"29,299 × 99, {noise_words(noise)}: time of `{targets.AUTO}` / time of `{_OTHER}`"
     return Check(what, own / other, targets.AUTO_TIME, "×")
 
 
@@ -63,7 +59,7 @@ def render(values: dict[str, Any]) -> list[str]:
             middle = sorted(range(len(seconds)), key=seconds.__getitem__)[len(seconds) // 2]
             rows.append(
                 [
-                    _tracks(noise),
+                    noise_words(noise),
                     f"`{method}`",
                     _check(values, noise).cell() if method == targets.AUTO else "",
                     f"{median(seconds):.2f} ({min(seconds):.2f} to {max(seconds):.2f})",

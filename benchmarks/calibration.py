@@ -7,7 +7,7 @@ from typing import Any
 from benchmarks import targets
 from benchmarks.runs import Case, run_cases
 from benchmarks.store import Context
-from benchmarks.tables import amount, table
+from benchmarks.tables import amount, noise_words, table
 from benchmarks.tracks import Data
 
 TITLE = "Standard deviation of depth"
@@ -43,7 +43,7 @@ def render(values: dict[str, Any]) -> list[str]:
         for noise in _NOISES:
             record = values["records"].get(_case(sequence, noise).key, {})
             found = record.get("calibration")
-            tracks = f"{100 * noise:g}% noise" if noise else "clean"
+            tracks = noise_words(noise)
             if not found:
                 rows.append([targets.marked(sequence), tracks, record.get("error", "not measured"), "", "", ""])
                 continue

@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks import quiet, targets
 from benchmarks.children import TIMED_THREADS, run_task
 from benchmarks.store import Context, data_folder, say
-from benchmarks.tables import Check, amount, table
+from benchmarks.tables import Check, amount, noise_words, table
 from benchmarks.tracks import OCCLUDED, OUTLIERS
 
 TITLE = "Growth of repair with the number of points"
@@ -45,7 +45,7 @@ def _row(values: dict[str, Any], points: int, noise: float, damage: str) -> dict
 
 
 def _words(noise: float, damage: str) -> str:
-    return f"{f'{100 * noise:g}% noise' if noise else 'clean'}, {damage}"
+    return f"{noise_words(noise)}, {damage}"
 
 
 def _check(values: dict[str, Any], noise: float, damage: str) -> Check:

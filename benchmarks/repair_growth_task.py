@@ -13,6 +13,8 @@ from benchmarks.store import data_folder
 from benchmarks.tracks import Data, damaged
 from nrsfm import datasets, reconstruct
 
+_STAGES = ("repair", "resection")
+
 
 def main() -> None:
     """Read {"sequence", "points", "noise", "damage", "method", "rounds"}; print the seconds of stages, by round."""
@@ -26,12 +28,9 @@ def main() -> None:
         start = time.perf_counter()
         result = reconstruct(tracks, settings["method"])
         seconds = result.diagnostics["seconds"]
-        rounds.append({"whole": time.perf_counter() - start} | {name: seconds.get(name, 0.0) for name in STAGES})
+        rounds.append({"whole": time.perf_counter() - start} | {name: seconds.get(name, 0.0) for name in _STAGES})
         del result
     json.dump({"points": tracks.n_points, "frames": tracks.n_frames, "rounds": rounds}, sys.stdout)
-
-
-STAGES = ("repair", "resection")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from typing import Any
 from benchmarks import targets
 from benchmarks.runs import Case, run_cases
 from benchmarks.store import Context
-from benchmarks.tables import Check, amount, error, table
+from benchmarks.tables import Check, amount, error, noise_words, table
 from benchmarks.tracks import BACK, DRIFT, OCCLUDED, OUTLIERS, RANDOM, Data
 
 TITLE = "Missing entries, outliers and drift"
@@ -47,7 +47,7 @@ def _ratio(values: dict[str, Any], sequence: str, noise: float, damage: str) -> 
 
 
 def _check(values: dict[str, Any], sequence: str, noise: float, damage: str) -> Check:
-    tracks = f"{100 * noise:g}% noise" if noise else "clean"
+    tracks = noise_words(noise)
     what = f"{targets.marked(sequence)}, {tracks}, {damage}: error / that with complete tracks"
     return Check(what, _ratio(values, sequence, noise, damage), targets.ROBUST[damage], "×")
 
@@ -79,7 +79,7 @@ def render(values: dict[str, Any]) -> list[str]:
 
 def _row(values: dict[str, Any], sequence: str, noise: float, damage: str) -> list[str]:
     record = _record(values, sequence, noise, damage)
-    tracks = f"{100 * noise:g}% noise" if noise else "clean"
+    tracks = noise_words(noise)
     if "error" in record:
         return [tracks, damage or "none", f"failed: {record['error']}", *[""] * 9]
     found = record.get("robust") or {}

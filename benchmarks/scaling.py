@@ -10,7 +10,7 @@ from typing import Any
 from benchmarks import quiet, targets
 from benchmarks.children import TIMED_THREADS, run_task
 from benchmarks.store import OUTPUT, Context, data_folder, say
-from benchmarks.tables import Check, amount, table
+from benchmarks.tables import Check, amount, noise_words, table
 
 TITLE = "Growth with the number of points"
 _SEQUENCE = "face-seq3"
@@ -71,7 +71,7 @@ def _find(values: dict[str, Any], points: int, noise: float, dtype: str, method:
 
 def _growth(values: dict[str, Any], noise: float, dtype: str, method: str) -> tuple[Check, Check]:
     small, large = (_find(values, points, noise, dtype, method) for points in (_SMALL, _LARGE))
-    tracks = f"{'3% noise' if noise else 'clean'}, {dtype}, `{method}`"
+    tracks = f"{noise_words(noise)}, {dtype}, `{method}`"
     time = median(large["seconds"]) / median(small["seconds"])
     iteration = median(large["iteration_seconds"]) / median(small["iteration_seconds"])
     return (
@@ -88,7 +88,7 @@ def _virtual(values: dict[str, Any], noise: float, dtype: str) -> str:
     )
     before, after = small["virtual_points"], large["virtual_points"]
     grows = after > 1.05 * before
-    tracks = f"{'3% noise' if noise else 'clean'}, {dtype}"
+    tracks = f"{noise_words(noise)}, {dtype}"
     why = "denser sampling lifts more directions above the noise, and an iteration costs that much more"
     return f"- {tracks}: {before:,} → {after:,} virtual points" + (
         f" (×{after / before:.2f}): {why}." if grows else "."
@@ -96,7 +96,7 @@ def _virtual(values: dict[str, Any], noise: float, dtype: str) -> str:
 
 
 def _memory(row: dict[str, Any]) -> Check:
-    tracks = f"{'3% noise' if row['noise'] else 'clean'}, {row['dtype']}, `{row['method']}`"
+    tracks = f"{noise_words(row['noise'])}, {row['dtype']}, `{row['method']}`"
     ratio = row["peak_bytes"] / row["input_bytes"]
     what = f"{row['points']:,} points, {tracks}: peak memory of the whole process / input"
     return Check(what, ratio, targets.SCALING_MEMORY, "×")
@@ -129,7 +129,7 @@ def render(values: dict[str, Any]) -> list[str]:
     for noise, dtype, method in _ends():
         time, iteration = _growth(values, noise, dtype, method)
         memory = _memory(_find(values, _LARGE, noise, dtype, method))
-        what = f"{'3% noise' if noise else 'clean'}, {dtype}"
+        what = f"{noise_words(noise)}, {dtype}"
         rows.append([what, f"`{method}`", time.cell(), iteration.cell(), memory.cell()])
     lines += ["**From 29,299 to 468,784 points**", ""]
     lines += table(["", "method", "time", "time of an iteration", "peak memory / input, at 468,784"], rows)
@@ -141,7 +141,7 @@ def render(values: dict[str, Any]) -> list[str]:
         rows.append(
             [
                 f"{row['points']:,}",
-                f"{'3% noise' if row['noise'] else 'clean'}, {row['dtype']}",
+                f"{noise_words(row['noise'])}, {row['dtype']}",
                 f"`{row['method']}`",
                 f"{median(row['seconds']):.2f}",
                 f"{1e3 * median(row['iteration_seconds']):.2f}",
@@ -163,7 +163,7 @@ def _with_deviations(values: dict[str, Any]) -> list[str]:
     """What the defaults take, standard deviations of the depths included, at the largest size."""
     rows = [
         [
-            f"{'3% noise' if row['noise'] else 'clean'}, {row['dtype']}",
+            f"{noise_words(row['noise'])}, {row['dtype']}",
             f"`{row['method']}`",
             f"{row['seconds'][0]:.2f}",
             f"{row['peak_bytes'] / row['input_bytes']:.2f}",

@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks import quiet, targets
 from benchmarks.children import TIMED_THREADS, run_task
 from benchmarks.store import Context, data_folder
-from benchmarks.tables import Check, Fact, amount, table
+from benchmarks.tables import Check, Fact, amount, noise_words, table
 
 TITLE = "Speed"
 _LONG, _SHORT = "face-seq3", ("face-seq1", "face-seq2")
@@ -30,20 +30,16 @@ def _key(sequence: str, noise: float, method: str) -> str:
     return f"{sequence} {noise:g} {method}"
 
 
-def _tracks(noise: float) -> str:
-    return "3% noise" if noise else "clean"
-
-
 def _ratio(values: dict[str, Any], noise: float, method: str) -> Check:
     run = values["long"]["runs"][_key(_LONG, noise, method)]
     ratio = median(run["seconds"]) / median(values["long"]["svd"])
-    what = f"29,299 × 99, {_tracks(noise)}, `{method}`: time of one dense SVD"
+    what = f"29,299 × 99, {noise_words(noise)}, `{method}`: time of one dense SVD"
     return Check(what, ratio, targets.SPEED_RATIO, "×")
 
 
 def _seconds(values: dict[str, Any], sequence: str, noise: float, method: str) -> Check:
     run = values["short"]["runs"][_key(sequence, noise, method)]
-    what = f"29,299 × 10 ({sequence}), {_tracks(noise)}, `{method}`"
+    what = f"29,299 × 10 ({sequence}), {noise_words(noise)}, `{method}`"
     return Check(what, median(run["seconds"]), targets.SPEED_SHORT, " s")
 
 
@@ -72,7 +68,7 @@ def render(values: dict[str, Any]) -> list[str]:
     ]
     rows = [
         [
-            _tracks(noise),
+            noise_words(noise),
             f"`{method}`",
             _ratio(values, noise, method).cell(),
             f"{min(values['long']['runs'][_key(_LONG, noise, method)]['seconds']) / min(svd):.2f}×",
@@ -97,7 +93,7 @@ def render(values: dict[str, Any]) -> list[str]:
     rows = [
         [
             sequence,
-            _tracks(noise),
+            noise_words(noise),
             f"`{method}`",
             _seconds(values, sequence, noise, method).cell(),
             *_details(values["short"], sequence, noise, method),

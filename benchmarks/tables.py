@@ -76,6 +76,11 @@ def amount(value: float | None) -> str:
     return f"{value:,.0f}" if abs(value) >= 100 else f"{float(f'{value:.3g}'):g}"
 
 
+def noise_words(ratio: float) -> str:
+    """How noisy tracks are: "3% noise", or "clean"."""
+    return f"{100 * ratio:g}% noise" if ratio else "clean"
+
+
 def degrees(value: float | None) -> str:
     """An angle: 2.31°."""
     return "–" if value is None else f"{value:.2f}°"
