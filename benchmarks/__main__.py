@@ -12,7 +12,7 @@ from benchmarks.page import SECTIONS, section_lines, write_page
 
 
 def main(words: list[str] | None = None) -> int:
-    """Run the sections asked for, then rebuild the page from everything that is kept."""
+    """Run the sections asked for, then rebuild the page from what is measured; it keeps what it has of the others."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument(
         "sections",
@@ -26,7 +26,13 @@ def main(words: list[str] | None = None) -> int:
         default=min(store.cores(), 4),
         help="processes for what is not timed, one thread each [default: %(default)s]; what is timed runs alone",
     )
-    parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="only sequences whose names hold a WORD")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=[],
+        metavar="WORD",
+        help="only sequences, or parts of 'size', whose names hold a WORD; the page then goes to bench-output/",
+    )
     parser.add_argument("--fresh", action="store_true", help="measure again what is kept and still holds")
     given = parser.parse_args(words)
     known = [*SECTIONS, "all", "page"]
@@ -39,7 +45,8 @@ def main(words: list[str] | None = None) -> int:
     wanted = [name for name in SECTIONS if name in asked or "all" in asked]
     context = store.Context(given.jobs, tuple(given.only), given.fresh)
     outcomes = {name: _run(name, context) for name in wanted}
-    missed, errors = write_page()
+    # A part of a section must not replace the whole of it unasked.
+    missed, errors = write_page(trial=bool(given.only))
     for check in missed:
         store.say(f"missed: {check.what}: {check.cell()}")
     for outcome in outcomes.values():

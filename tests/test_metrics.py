@@ -1,5 +1,7 @@
 """Errors against brute force and under the transformations that each alignment must not see."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -394,3 +396,63 @@ def test_calibration_says_what_it_needs():
         depth_calibration(Result(result.shapes, cameras), truth, cameras)
     with pytest.raises(InputError, match="valid: at least one point must count"):
         depth_calibration(result, truth, cameras, valid=np.zeros((3, 6), dtype=bool))
+
+
+def whole_arrays(estimate, truth, align):
+    """The definition of e3D, written with all frames at once."""
+    a, b = (np.asarray(s, dtype=np.float64) for s in (estimate, truth))
+    a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
+    cross = np.einsum("fpi,fpj->fij", a, b)
+    if align == "global":
+        cross = np.broadcast_to(cross.sum(axis=0), cross.shape)
+    u, _, vt = np.linalg.svd(cross)
+    moved = a if align == "none" else a @ (u @ vt)
+    if align == "similarity":
+        moved = moved * (np.sum(moved * b, axis=(1, 2)) / np.sum(moved**2, axis=(1, 2)))[:, None, None]
+    return np.mean(np.linalg.norm(moved - b, axis=(1, 2)) / np.linalg.norm(b, axis=(1, 2)))
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    """Estimate and truth of 120 frames, 2,000 points, as memory-mapped float32 files."""
+    folder, shapes = tmp_path_factory.mktemp("mapped"), pair(9, 120, 2000)[:2]
+    for name, array in zip(("estimate", "truth"), shapes, strict=True):
+        np.save(folder / f"{name}.npy", array.astype(np.float32))
+    return [np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("estimate", "truth")]
+
+
+@pytest.mark.parametrize("align", ALIGNMENTS)
+def test_frame_by_frame_gives_what_all_frames_at_once_give(mapped, align):
+    expected = whole_arrays(*mapped, align)
+    assert shape_error(*mapped, align) == pytest.approx(expected, abs=1e-12)
+    assert shape_error(*(np.array(shapes) for shapes in mapped), align) == shape_error(*mapped, align)
+
+
+@pytest.mark.parametrize(
+    "score",
+    [
+        lambda a, b: shape_error(a, b, "global"),
+        lambda a, b: shape_error(a, b, "per-frame", valid=np.ones(b.shape[:2], dtype=bool)),
+        mocap_error,
+        lambda a, b: camera_frame_error(
+            Result(a, np.tile(np.eye(3), (len(a), 1, 1))), b, np.tile(np.eye(3), (len(b), 1, 1))
+        ),
+    ],
+    ids=["global", "per-frame", "mocap", "camera frame"],
+)
+def test_memory_is_that_of_a_few_frames(mapped, score):
+    score(mapped[0][:2], mapped[1][:2])
+    tracemalloc.start()
+    score(*mapped)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    one_frame = 8 * mapped[0][0].size
+    assert peak < 12 * one_frame, f"{peak / one_frame:.1f} frames in float64, of {len(mapped[0])}"
+
+
+def test_a_coordinate_that_is_not_finite_is_found_in_the_last_frame():
+    estimate, truth, _ = pair(1, frames=3)
+    truth[2, 5, 1] = np.inf
+    for score in (shape_error, mocap_error, aligned):
+        with pytest.raises(InputError, match="truth: every coordinate must be finite, received 1 "):
+            score(estimate, truth)

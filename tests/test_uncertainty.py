@@ -136,7 +136,8 @@ def test_point_quadratic_against_dense_matrices(scene):
             k
         ] @ compressed.measurements.columns(members)
     expected = np.sum((factor.T @ basis @ rows) ** 2, axis=0)
-    np.testing.assert_allclose(uncertainty._point_quadratic(compressed, basis, factor @ factor.T), expected, rtol=1e-6)
+    fields = uncertainty._fields(compressed, basis, factor @ factor.T)
+    np.testing.assert_allclose(uncertainty._point_quadratic(compressed, fields), expected, rtol=1e-6)
 
 
 def test_noise_gain_is_what_noise_does_to_the_depth(scene):

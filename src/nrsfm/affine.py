@@ -23,7 +23,7 @@ from nrsfm.cameras import (
     estimate_cameras,
     mirrored,
 )
-from nrsfm.clustering import kmeans
+from nrsfm.clustering import kmeans, kmeans_centres
 from nrsfm.compression import (
     CompressedTracks,
     Measurements,
@@ -42,7 +42,8 @@ from nrsfm.numerics.threads import single_thread
 from nrsfm.options import option
 from nrsfm.progress import Report
 from nrsfm.reconstruction import Reconstruction
-from nrsfm.uncertainty import UncertaintyOptions, depth_deviation
+from nrsfm.streaming.stream import Stream
+from nrsfm.uncertainty import UncertaintyOptions, depth_deviation, deviation_model
 
 _MIRROR_POINTS = 5_000  # at most about so many points tell which way the shape bulges
 _THIN = 1e-5  # points this much narrower than long lie on a line
@@ -71,6 +72,16 @@ class PipelineOptions:
         minimum=0,
     )
     precision: str = option("float32", "Type of the returned shapes.", choices=("float32", "float64"))
+    memory: str | None = option(
+        None,
+        "Memory that the whole process may take, such as 4GB. Default: no limit, and blocks of half a gigabyte of "
+        "tracks that stay in their file.",
+    )
+    shapes_file: str | None = option(
+        None,
+        "File that the shapes are written to, block by block: .npy, .npz, .h5 or .zarr. The result is then a map of "
+        "the file (of .zarr it is read). Default: memory.",
+    )
     ordered: bool = option(
         True, "The frames follow one another in time. Off refuses methods that need it (see nrsfm methods)."
     )
@@ -114,13 +125,16 @@ class Settings:
 
 
 def reconstruct_affine(
-    points: np.ndarray, method: Method, known: np.ndarray | None, settings: Settings, stages: Stages
+    points: np.ndarray | Stream, method: Method, known: np.ndarray | None, settings: Settings, stages: Stages
 ) -> Reconstruction:
-    """Shapes and cameras of complete tracks (F, P, 2) under known cameras (F, 3, 3) or estimated ones."""
+    """Shapes and cameras of complete tracks (F, P, 2) under known cameras (F, 3, 3) or estimated ones.
+
+    A stream gives the same as its points in memory would, up to the sample that the cells and the noise are learnt on.
+    """
     pipeline = settings.pipeline
     rng = np.random.default_rng(settings.seed)
-    with stages("reading tracks"):
-        measured = measure(points)
+    with stages("reading tracks") as monitor:
+        measured = points.measure(settings.seed, monitor) if isinstance(points, Stream) else measure(points)
         with single_thread():
             values, vectors = spectrum(measured)
         coordinates = track_coordinates(measured, vectors[:, :_COORDINATES])
@@ -129,12 +143,19 @@ def reconstruct_affine(
     with stages("cameras") as monitor:
         cameras = _cameras(measured, values, vectors, known, noise, settings.camera, settings.seed, monitor)
     # The cells' eigenproblems are small: threads would cost more than they give.
-    with stages("compression"), single_thread():
-        if method.needs.every_point:
+    with stages("compression") as monitor, single_thread():
+        level = noise if denoise else 0.0
+        if isinstance(points, Stream):
+            centres = kmeans_centres(coordinates, method.cells(settings.method, measured.count, measured.frames), rng)
+            directions = vectors[:, :_COORDINATES]
+            compressed = points.compress(
+                measured, directions, centres, noise=level, tolerance=pipeline.tolerance, told=monitor
+            )
+        elif method.needs.every_point:
             compressed = uncompressed(measured)
         else:
             labels = kmeans(coordinates, method.cells(settings.method, measured.count, measured.frames), rng)
-            compressed = compress(measured, labels, noise=noise if denoise else 0.0, tolerance=pipeline.tolerance)
+            compressed = compress(measured, labels, noise=level, tolerance=pipeline.tolerance)
         del coordinates  # as large as a tenth of short tracks, and not needed again
     with stages(method.name) as monitor, single_thread():
         problem = Problem(
@@ -163,25 +184,16 @@ def reconstruct_affine(
                 ordered=pipeline.ordered,
             )
             cameras = replace(cameras, rotations=rotations, turn=camera_turn(rotations))
-    with stages("expansion"):
-        shapes = compressed.expand(solution.shapes, np.dtype(pipeline.precision))
-    deviation, uncertain = None, None
-    if settings.uncertainty.deviation:
-        with stages("deviation"):
-            deviation, uncertain = depth_deviation(
-                solution.shapes,
-                compressed,
-                cameras.rotations,
-                cameras.scales,
-                noise,
-                np.random.default_rng([settings.seed, 1]),  # its own: switching it off must change nothing else
-            )
     rotations, mirror = cameras.rotations, None
     if known is None:
         with stages("mirror"):
-            rotations, mirror = _mirror(rotations, shapes, settings.camera.mirror, warnings)
+            rotations, mirror = _mirror(
+                cameras.rotations, compressed, solution.shapes, settings.camera.mirror, warnings
+            )
+            cameras = replace(cameras, rotations=rotations)
     elif settings.camera.mirror:
         warnings.append("mirror is ignored: known cameras leave one solution")
+    shapes, deviation, uncertain = _expanded(points, compressed, solution.shapes, cameras, noise, settings, stages)
     groups = None if solution.groups is None else solution.groups[compressed.labels]
     return Reconstruction(
         shapes=shapes,
@@ -206,6 +218,37 @@ def reconstruct_affine(
         method=method.name,
         options={"denoise": denoise},
     )
+
+
+def _expanded(
+    points: np.ndarray | Stream,
+    compressed: CompressedTracks,
+    shapes: np.ndarray,
+    cameras: CameraEstimate,
+    noise: float,
+    settings: Settings,
+    stages: Stages,
+) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any] | None]:
+    """Shapes (F, 3, N) of the virtual points to those of all points; their depths' deviations, and what these say."""
+    dtype = np.dtype(settings.pipeline.precision)
+    wanted = settings.uncertainty.deviation
+    rng = np.random.default_rng([settings.seed, 1])  # its own: switching deviations off must change nothing else
+    about = (shapes, compressed, cameras.rotations, cameras.scales, noise, rng)
+    if isinstance(points, Stream):
+        model, report = None, None
+        if wanted:
+            with stages("deviation"), single_thread():
+                model, report = deviation_model(*about)
+        with stages("expansion") as monitor:
+            found = points.expand(compressed, shapes, dtype, model, monitor)
+        return found["shapes"], found.get("depth_deviation"), report
+    with stages("expansion"):
+        out = compressed.expand(shapes, dtype)
+    if not wanted:
+        return out, None, None
+    with stages("deviation"):
+        deviation, report = depth_deviation(*about)
+    return out, deviation, report
 
 
 def _moved_by_the_method(cameras: CameraEstimate, solution: Solution) -> CameraEstimate:
@@ -290,17 +333,20 @@ def _compression_report(compressed: CompressedTracks) -> dict[str, Any]:
 
 
 def _mirror(
-    rotations: np.ndarray, shapes: np.ndarray, other: bool, warnings: list[str]
+    rotations: np.ndarray, compressed: CompressedTracks, shapes: np.ndarray, other: bool, warnings: list[str]
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Put rotations and shapes (in place) into the conventional one of the two mirror images, or the other one."""
-    report = choose_mirror(rotations, shapes[:, :: max(1, shapes.shape[1] // _MIRROR_POINTS)], mirror=other)
+    """Put rotations and shapes (F, 3, N), in place, into the conventional one of the two mirror images, or the other.
+
+    Judged on some of the real points.
+    """
+    report = choose_mirror(rotations, compressed.some(shapes, _MIRROR_POINTS), mirror=other)
     if not report["decided"]:
         warnings.append(
             "which of the two mirror images is shown is arbitrary: orthographic tracks cannot tell, and the shape "
             "bulges neither way (option mirror gives the other one)"
         )
     if report["flip"]:
-        shapes[..., 2] *= -1
+        shapes[:, 2] *= -1
         rotations = mirrored(rotations)
     return rotations, report
 

@@ -61,9 +61,17 @@ def kmeans(data: np.ndarray, count: int, rng: np.random.Generator, rounds: int =
     Source: Arthur and Vassilvitskii 2007.
     """
     data = np.asarray(data)
+    if min(count, len(data)) <= 1:
+        return np.zeros(len(data), dtype=np.int64)
+    labels = _nearest(data, kmeans_centres(data, count, rng, rounds))[0]
+    return np.unique(labels, return_inverse=True)[1].reshape(-1)
+
+
+def kmeans_centres(data: np.ndarray, count: int, rng: np.random.Generator, rounds: int = 30) -> np.ndarray:
+    """Centres (m, q) of :func:`kmeans`, m = min(count, n), learnt on at most 20,000 of the points."""
     count = max(1, min(count, len(data)))
     if count == 1:
-        return np.zeros(len(data), dtype=np.int64)
+        return np.asarray(data.mean(axis=0, keepdims=True))
     sample = data if len(data) <= _SAMPLE else data[np.sort(rng.choice(len(data), _SAMPLE, replace=False))]
     centres = _plus_plus(sample, count, rng)
     before = np.inf
@@ -76,8 +84,7 @@ def kmeans(data: np.ndarray, count: int, rng: np.random.Generator, rounds: int =
         if total >= (1 - 1e-4) * before:  # false while `before` is infinite
             break
         before = total
-    labels = _nearest(data, centres)[0]
-    return np.unique(labels, return_inverse=True)[1].reshape(-1)
+    return centres
 
 
 def spectral_groups(

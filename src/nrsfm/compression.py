@@ -17,8 +17,9 @@ and :meth:`CompressedTracks.expand`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -40,13 +41,16 @@ class Measurements:
     """The tracks seen as the paper's W: rows centred, divided by one unit, read in chunks of points.
 
     ``points`` (F, P, 2) is the caller's array, never copied as a whole; ``translations`` (F, 2) the row means;
-    ``unit`` the root mean square of the centred coordinates; ``gram`` (2F, 2F) is W Wᵀ in that unit.
+    ``unit`` the root mean square of the centred coordinates; ``gram`` (2F, 2F) is W Wᵀ in that unit. Of tracks that are
+    read in blocks the points are a sample, those with these ``indices``, and ``total`` is P.
     """
 
     points: np.ndarray
     translations: np.ndarray
     unit: float
     gram: np.ndarray
+    total: int | None = None
+    indices: np.ndarray | None = None
 
     @property
     def frames(self) -> int:
@@ -56,7 +60,7 @@ class Measurements:
     @property
     def count(self) -> int:
         """P."""
-        return self.points.shape[1]
+        return self.points.shape[1] if self.total is None else self.total
 
     def columns(self, which: slice | np.ndarray) -> np.ndarray:
         """Columns of the centred, normalised W as a new float64 array (2F, n)."""
@@ -193,6 +197,17 @@ class CompressedTracks:
                 out[:, members[part]] = block.reshape(frames, 3, -1).transpose(0, 2, 1)
         return out
 
+    def some(self, shapes: np.ndarray, most: int) -> np.ndarray:
+        """:meth:`expand` for every so many-th of the points at hand, about ``most`` of them: (F, n, 3) float32."""
+        measured, kind = self.measurements, np.dtype(np.float32)
+        step = max(1, measured.points.shape[1] // most)
+        if not self.maps:
+            return self.expand(shapes[:, :, ::step], kind)
+        labels = (self.labels if measured.indices is None else self.labels[measured.indices])[::step]
+        picked = replace(measured, points=measured.points[:, ::step], total=None, indices=None)
+        sizes = np.bincount(labels, minlength=len(self.sizes))
+        return replace(self, labels=labels, sizes=sizes, measurements=picked).expand(shapes, kind)
+
 
 def members_of_cells(labels: np.ndarray, sizes: np.ndarray) -> list[np.ndarray]:
     """Indices of the points of each cell."""
@@ -218,26 +233,59 @@ def compress(
     sizes = np.bincount(labels)
     size = float(np.trace(measurements.gram))
     floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
-    factors, maps, risk = [], [], 0.0
+    cells = []
     for indices in members_of_cells(labels, sizes):
         values, vectors = spectrum(measurements, indices)
-        risk += risk_of_shrinking(values, (len(vectors), len(indices)), noise)
-        left, back = _factor(values, vectors, len(indices), noise, tolerance, floor)
-        factors.append(left)
-        maps.append(back)
-    stacked = np.concatenate(factors, axis=1)
-    offsets = np.concatenate([[0], np.cumsum([f.shape[1] for f in factors])])
+        risk = risk_of_shrinking(values, (len(vectors), len(indices)), noise)
+        cells.append((*_factor(values, vectors, len(indices), noise, tolerance, floor), risk))
+    return _joined(measurements, labels, sizes, cells)
+
+
+def _joined(
+    measurements: Measurements,
+    labels: np.ndarray,
+    sizes: np.ndarray,
+    cells: list[tuple[np.ndarray, np.ndarray, float]],
+) -> CompressedTracks:
+    """All cells side by side: of each its virtual tracks, the way back, and the risk of its shrinking."""
+    size = float(np.trace(measurements.gram))
+    stacked = np.concatenate([left for left, _, _ in cells], axis=1)
+    offsets = np.concatenate([[0], np.cumsum([left.shape[1] for left, _, _ in cells])])
+    risk = sum(risk for _, _, risk in cells)
     lost = 1.0 - float(np.sum(stacked**2)) / size if size > 0 else 0.0
     return CompressedTracks(
         stacked.reshape(measurements.frames, 2, -1),
         offsets,
         sizes,
         labels,
-        tuple(maps),
+        tuple(back for _, back, _ in cells),
         measurements,
         max(lost, 0.0),
         float(np.sqrt(risk / (2 * measurements.frames * measurements.count))),
     )
+
+
+def compress_grams(
+    measurements: Measurements,
+    labels: np.ndarray,
+    grams: np.ndarray,
+    *,
+    noise: float = 0.0,
+    tolerance: float = 0.0,
+    apply: Callable[..., Iterable[Any]] = map,
+) -> CompressedTracks:
+    """:func:`compress` from the Gram matrices (K, 2F, 2F) of the cells; ``apply`` maps a function over them."""
+    sizes = np.bincount(labels)
+    size = float(np.trace(measurements.gram))
+    floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
+
+    def factor(k: int) -> tuple[np.ndarray, np.ndarray, float]:
+        squares, vectors = np.linalg.eigh(grams[k])
+        values = np.sqrt(np.maximum(squares[::-1], 0.0))
+        risk = risk_of_shrinking(values, (len(vectors), int(sizes[k])), noise)
+        return *_factor(values, vectors[:, ::-1], int(sizes[k]), noise, tolerance, floor), risk
+
+    return _joined(measurements, labels, sizes, list(apply(factor, range(len(grams)))))
 
 
 def uncompressed(measurements: Measurements) -> CompressedTracks:
@@ -250,8 +298,9 @@ def uncompressed(measurements: Measurements) -> CompressedTracks:
 
 def track_coordinates(measurements: Measurements, vectors: np.ndarray) -> np.ndarray:
     """Coordinates (P, q) of the tracks in given left singular vectors (2F, q), float32."""
-    out = np.empty((measurements.count, vectors.shape[1]), dtype=np.float32)
-    for part in measurements.chunks():
+    count = measurements.points.shape[1]
+    out = np.empty((count, vectors.shape[1]), dtype=np.float32)
+    for part in _chunks(measurements.frames, count):
         out[part] = (vectors.T @ measurements.columns(part)).T
     return out
 
@@ -266,9 +315,10 @@ def estimate_noise(
     rows, count = 2 * measurements.frames, measurements.count
     tail = noise_from_spectrum(values**2, rows, count)
     neighbours = 24
-    if count < 4 * neighbours:
+    here = len(coordinates)  # fewer than all where the points are a sample
+    if here < 4 * neighbours:
         return tail
-    samples = rng.choice(count, size=min(64, count // 4), replace=False)
+    samples = rng.choice(here, size=min(64, here // 4), replace=False)
     leading = np.ascontiguousarray(coordinates[:, :3].T)
     near = np.empty((len(samples), neighbours), dtype=np.int64)
     for i, s in enumerate(samples):

@@ -5,22 +5,28 @@ The papers of this field do not agree on alignment, so every alignment is here a
 Points that a ``Reconstruction`` says it could not reconstruct (see ``Reconstruction.reconstructed``) are not scored:
 they count in no mean, no centre and no alignment, and :func:`scored_points` says which points do. A plain array has
 no such word: NaN in it is an error, except where ``valid`` is false.
+
+Shapes of any size are taken: every score walks from frame to frame, holds the two shapes of one frame in float64, and
+gives back the memory that reading a mapped file has taken.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from nrsfm.errors import InputError, suggest
+from nrsfm.streaming.readers import release
 
 ALIGNMENTS = ("none", "global", "per-frame", "similarity")
 
 
 def _shapes(value: Any, name: str) -> np.ndarray:
-    array = np.asarray(getattr(value, "shapes", value))
+    value = getattr(value, "shapes", value)
+    array = value if isinstance(value, np.memmap) else np.asarray(value)  # a map stays one: see release
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: real numbers are needed, received dtype {array.dtype}")
     if array.ndim != 3 or array.shape[2] != 3:
@@ -44,36 +50,63 @@ def scored_points(estimate: Any, truth: Any) -> np.ndarray:
     return scored
 
 
-def _pair(estimate: Any, truth: Any, valid: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
-    """Shapes and mask of the scored points only, and which points these are."""
+@dataclass(frozen=True)
+class _Pair:
+    """Two shapes (F, P, 3) that belong together, as they came in, and what of them is scored.
+
+    ``valid`` (F, P) or None: what counts in each frame; ``scored`` (P,): what has a shape on both sides.
+    """
+
+    est: np.ndarray
+    true: np.ndarray
+    valid: np.ndarray | None
+    scored: np.ndarray
+
+    def frames(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Number of a frame and both of its shapes (n, 3), float64 and centred, for each frame where points count.
+
+        Raises ``InputError`` at the first frame with a coordinate that is not finite, where all must be.
+        """
+        everything = self.valid is None and bool(self.scored.all())
+        for f in range(len(self.true)):
+            known = None if everything else self.known(f)
+            if known is not None and not known.any():
+                continue
+            a, b = _centred(self.est[f], known), _centred(self.true[f], known)
+            # One coordinate that is not finite spoils the mean, and so all of its axis.
+            if self.valid is None and not (np.isfinite(a[0]).all() and np.isfinite(b[0]).all()):
+                self._require_finite()
+            yield f, a, b
+            release(self.est)
+            release(self.true)
+
+    def known(self, f: int) -> np.ndarray:
+        """Which points (P,) count in a frame."""
+        return self.scored if self.valid is None else self.scored & self.valid[f]
+
+    def cross(self) -> np.ndarray:
+        """Σ aᵀb (3, 3) over the frames."""
+        return sum((a.T @ b for _, a, b in self.frames()), np.zeros((3, 3)))
+
+    def _require_finite(self) -> None:
+        for name, array in (("estimate", self.est), ("truth", self.true)):
+            bad = sum(int(np.count_nonzero(~np.isfinite(frame[self.scored]))) for frame in array)
+            if bad:
+                raise InputError(f"{name}: every coordinate must be finite, received {bad} that are NaN or infinite")
+
+
+def _pair(estimate: Any, truth: Any, valid: Any) -> _Pair:
+    """Both shapes and the mask, checked as far as that needs no reading of the shapes."""
     est, true = _shapes(estimate, "estimate"), _shapes(truth, "truth")
     if est.shape != true.shape:
         raise InputError(f"estimate and truth must have the same shape, received {est.shape} and {true.shape}")
-    scored = scored_points(estimate, truth)
     if valid is not None:
         valid = np.asarray(valid)
         if valid.shape != true.shape[:2] or valid.dtype != np.bool_:
             raise InputError(
                 f"valid: a bool array of shape {true.shape[:2]} is needed, received {valid.dtype} {valid.shape}"
             )
-    if not scored.all():
-        est, true = est[:, scored], true[:, scored]
-        valid = None if valid is None else valid[:, scored]
-    if valid is None:
-        for name, array in (("estimate", est), ("truth", true)):
-            bad = int(np.count_nonzero(~np.isfinite(array)))
-            if bad:
-                raise InputError(f"{name}: every coordinate must be finite, received {bad} that are NaN or infinite")
-    return est, true, valid, scored
-
-
-def _scattered(values: np.ndarray, scored: np.ndarray) -> np.ndarray:
-    """Values (F, n, …) of the scored points among all points, NaN elsewhere."""
-    if scored.all():
-        return values
-    out = np.full((len(values), len(scored), *values.shape[2:]), np.nan)
-    out[:, scored] = values
-    return out
+    return _Pair(est, true, valid, scored_points(estimate, truth))
 
 
 def _check_alignment(align: str) -> None:
@@ -82,9 +115,12 @@ def _check_alignment(align: str) -> None:
         raise InputError(f"align must be one of {listed}, received {align!r}{near}")
 
 
-def _centred(frame: np.ndarray) -> np.ndarray:
-    frame = np.asarray(frame, dtype=np.float64)
-    return frame - frame.mean(axis=0)
+def _centred(frame: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
+    """The points (n, 3) that are known, in float64, about their mean."""
+    frame = np.array(frame if known is None else frame[known], dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # infinity less itself: the caller refuses it by name
+        frame -= frame.mean(axis=0)
+    return frame
 
 
 def _procrustes(cross: np.ndarray) -> np.ndarray:
@@ -124,26 +160,13 @@ def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.
     Source: the paper's equation for e3D.
     """
     _check_alignment(align)
-    est, true, mask, _ = _pair(estimate, truth, valid)
+    return _frame_errors(_pair(estimate, truth, valid), align)
 
-    def frames() -> Iterator[tuple[np.ndarray | None, np.ndarray | None]]:
-        for f in range(len(true)):
-            a, b = est[f], true[f]
-            if mask is not None:
-                a, b = a[mask[f]], b[mask[f]]
-            yield (_centred(a), _centred(b)) if len(a) else (None, None)
 
-    rotation = np.eye(3)
-    if align == "global":
-        cross = np.zeros((3, 3))
-        for a, b in frames():
-            if a is not None and b is not None:
-                cross += a.T @ b
-        rotation = _procrustes(cross)
-    errors = np.full(len(true), np.nan)
-    for f, (a, b) in enumerate(frames()):
-        if a is None or b is None:
-            continue
+def _frame_errors(pair: _Pair, align: str) -> np.ndarray:
+    rotation = _procrustes(pair.cross()) if align == "global" else np.eye(3)
+    errors = np.full(len(pair.true), np.nan)
+    for f, a, b in pair.frames():
         moved = _moved(a, b, align, rotation)
         norm, gap = np.linalg.norm(b), np.linalg.norm(moved - b)
         errors[f] = gap / norm if norm > 0 else (0.0 if gap == 0 else np.inf)
@@ -152,19 +175,21 @@ def frame_errors(estimate: Any, truth: Any, align: str = "global", *, valid: np.
 
 def shape_error(estimate: Any, truth: Any, align: str = "global", *, valid: np.ndarray | None = None) -> float:
     """Mean over frames of the relative 3D error e3D; parameters as in :func:`frame_errors`; NaN if none counts."""
-    errors = frame_errors(estimate, truth, align, valid=valid)
+    return _mean(frame_errors(estimate, truth, align, valid=valid))
+
+
+def _mean(errors: np.ndarray) -> float:
     known = errors[~np.isnan(errors)]
     return float(known.mean()) if len(known) else float("nan")
 
 
 def point_errors(estimate: Any, truth: Any, align: str = "per-frame") -> np.ndarray:
     """Distance of every point from the truth after alignment, in the truth's unit: (F, P); NaN where not scored."""
-    est, true, _, scored = _pair(estimate, truth, None)
-    moved = aligned(est, true, align)
-    gaps = np.empty(true.shape[:2])
-    for f in range(len(true)):
-        gaps[f] = np.linalg.norm(moved[f] - _centred(true[f]), axis=1)
-    return _scattered(gaps, scored)
+    pair = _pair(estimate, truth, None)
+    gaps = np.full(pair.true.shape[:2], np.nan)
+    for f, moved, b in _aligned_frames(pair, align):
+        gaps[f, pair.scored] = np.linalg.norm(moved - b, axis=1)
+    return gaps
 
 
 def aligned(estimate: Any, truth: Any, align: str = "global") -> np.ndarray:
@@ -172,16 +197,31 @@ def aligned(estimate: Any, truth: Any, align: str = "global") -> np.ndarray:
 
     Points that are not scored are NaN.
     """
+    pair = _pair(estimate, truth, None)
+    out = np.full(pair.true.shape, np.nan)
+    for f, moved, _ in _aligned_frames(pair, align):
+        out[f, pair.scored] = moved
+    return out
+
+
+def _aligned_frames(pair: _Pair, align: str) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Number of each frame, the estimate moved onto the truth, and the truth, both centred (n, 3)."""
     _check_alignment(align)
-    est, true, _, scored = _pair(estimate, truth, None)
-    pairs = [(_centred(a), _centred(b)) for a, b in zip(est, true, strict=True)]
-    rotation = np.eye(3)
-    if align == "global":
-        rotation = _procrustes(sum((a.T @ b for a, b in pairs), np.zeros((3, 3))))
-    out = np.empty(true.shape)
-    for f, (a, b) in enumerate(pairs):
-        out[f] = _moved(a, b, align, rotation)
-    return _scattered(out, scored)
+    rotation = _procrustes(pair.cross()) if align == "global" else np.eye(3)
+    for f, a, b in pair.frames():
+        yield f, _moved(a, b, align, rotation), b
+
+
+@dataclass(frozen=True)
+class _SeenPair(_Pair):
+    """Both shapes as their cameras (F, 3, 3) see them."""
+
+    cameras: tuple[np.ndarray, np.ndarray]
+
+    def frames(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """See :meth:`_Pair.frames`."""
+        for f, a, b in super().frames():
+            yield f, a @ self.cameras[0][f].T, b @ self.cameras[1][f].T
 
 
 def camera_frame_error(estimate: Any, truth: Any, truth_rotations: np.ndarray) -> float:
@@ -199,10 +239,9 @@ def camera_frame_error(estimate: Any, truth: Any, truth_rotations: np.ndarray) -
     truth_rotations
         (F, 3, 3), camera from object.
     """
-    est, true, _, _ = _pair(estimate, truth, None)
-    seen = np.einsum("fij,fpj->fpi", estimate.rotations, np.asarray(est, dtype=np.float64))
-    true = np.einsum("fij,fpj->fpi", truth_rotations, np.asarray(true, dtype=np.float64))
-    return shape_error(seen, true, "global")
+    pair = _pair(estimate, truth, None)
+    cameras = np.asarray(estimate.rotations), np.asarray(truth_rotations)
+    return _mean(_frame_errors(_SeenPair(pair.est, pair.true, pair.valid, pair.scored, cameras), "global"))
 
 
 def mocap_error(estimate: Any, truth: Any) -> float:
@@ -212,9 +251,11 @@ def mocap_error(estimate: Any, truth: Any) -> float:
     divided by the mean over frames of (std of x + std of y + std of z) / 3. Never mix it with e3D in one table.
     Source: Akhter et al. 2008; Gotardo and Martinez 2011.
     """
-    est, true, _, _ = _pair(estimate, truth, None)
-    spread = float(np.mean(np.std(np.asarray(true, dtype=np.float64), axis=1)))
-    distance = float(np.mean(point_errors(est, true, "global")))
+    spreads, distances = [], []
+    for _, moved, b in _aligned_frames(_pair(estimate, truth, None), "global"):
+        spreads.append(np.std(b, axis=0).mean())
+        distances.append(np.linalg.norm(moved - b, axis=1).mean())
+    spread, distance = float(np.mean(spreads)), float(np.mean(distances))
     return distance / spread if spread > 0 else (0.0 if distance == 0 else float("inf"))
 
 
@@ -283,18 +324,16 @@ def depth_calibration(
     deviation = getattr(estimate, "depth_deviation", None)
     if deviation is None:
         raise InputError("estimate: a reconstruction with depth_deviation is needed, received one without")
-    est, true, mask, scored = _pair(estimate, truth, valid)
-    if mask is not None and not mask.any():
+    pair = _pair(estimate, truth, valid)
+    if pair.valid is not None and not (pair.valid & pair.scored).any():
         raise InputError("valid: at least one point must count, received none")
 
     def frames() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        for f in range(len(true)):
-            known = slice(None) if mask is None else mask[f]
-            if mask is not None and not mask[f].any():
-                continue
-            a, b = _centred(est[f][known]) @ estimate.rotations[f].T, _centred(true[f][known])
+        for f, a, b in pair.frames():
+            a = a @ estimate.rotations[f].T
             b = b @ _procrustes(b.T @ a) if truth_rotations is None else b @ truth_rotations[f].T
-            yield a, b, np.asarray(deviation[f, scored][known], dtype=np.float64)
+            yield a, b, np.asarray(deviation[f][pair.known(f)], dtype=np.float64)
+            release(deviation)
 
     across = along = size = 0.0
     for a, b, _ in frames():

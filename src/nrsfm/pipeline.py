@@ -25,6 +25,8 @@ from nrsfm.perspective import PerspectiveOptions, with_perspective
 from nrsfm.progress import Report, TerminalProgress, silent
 from nrsfm.reconstruction import Reconstruction
 from nrsfm.repair import Repaired, RepairOptions, Resection, repair, resect, resect_by_cells, trusted_points
+from nrsfm.streamed import may_stream, reconstruct_streamed, require_room
+from nrsfm.streaming.targets import Target
 from nrsfm.tracks import Tracks
 from nrsfm.uncertainty import UncertaintyOptions
 
@@ -120,15 +122,16 @@ def reconstruct(
 def _reconstruct(tracks: Tracks, run: _Run, report: Report) -> Reconstruction:
     stages = Stages(report)
     settings = run.settings
-    with stages("repair") as monitor:
-        repaired = repair(tracks, run.repair, np.random.default_rng([settings.seed, 2]), monitor)
-    if repaired.good is None or run.method.needs.every_point:
-        points = _columns(repaired.points, repaired.kept)
-        result, perspective = _seen_by_cameras(points, tracks.visible, run, stages)
-        if getattr(settings.method, "by_cells", False) and not perspective["undone"]:
-            result = _by_cells(points, result, settings.seed, stages)
-    else:
-        result, perspective, repaired = _with_holes(tracks, repaired, run, stages)
+    answer = None
+    if may_stream(tracks, run.method, settings.pipeline):
+
+        def by_cells(result: Reconstruction) -> Reconstruction:
+            return _by_cells(tracks.points, result, settings.seed, stages)
+
+        answer = reconstruct_streamed(
+            tracks, run.method, run.known, settings, run.repair, run.perspective, stages, by_cells
+        )
+    result, perspective, repaired = _in_memory(tracks, run, stages) if answer is None else answer
     warnings = [*repaired.warnings, *result.diagnostics["warnings"]]
     evidence = perspective.get("mirror") or {}
     mirror = dict(result.diagnostics["cameras"].get("mirror") or {})
@@ -152,7 +155,39 @@ def _reconstruct(tracks: Tracks, run: _Run, report: Report) -> Reconstruction:
         recorded |= _recorded(options)
     recorded |= _recorded(settings.uncertainty) | _recorded(settings.method) | result.options
     result = replace(result, diagnostics=diagnostics, options=recorded)
-    return _of_all_points(result, repaired)
+    result = _of_all_points(result, repaired)
+    if answer is None and settings.pipeline.shapes_file is not None:
+        return _to_file(result, settings.pipeline.shapes_file)
+    return result
+
+
+def _in_memory(tracks: Tracks, run: _Run, stages: Stages) -> tuple[Reconstruction, dict[str, Any], Repaired]:
+    """Tracks that are looked at as a whole: repaired where they need it."""
+    settings = run.settings
+    require_room(tracks, settings.pipeline, f"tracks with gaps or outliers, and those of method '{run.method.name}',")
+    tracks = tracks.in_memory()
+    with stages("repair") as monitor:
+        repaired = repair(tracks, run.repair, np.random.default_rng([settings.seed, 2]), monitor)
+    if repaired.good is not None and not run.method.needs.every_point:
+        return _with_holes(tracks, repaired, run, stages)
+    points = _columns(repaired.points, repaired.kept)
+    result, perspective = _seen_by_cameras(points, tracks.visible, run, stages)
+    if getattr(settings.method, "by_cells", False) and not perspective["undone"]:
+        result = _by_cells(points, result, settings.seed, stages)
+    return result, perspective, repaired
+
+
+def _to_file(result: Reconstruction, path: str) -> Reconstruction:
+    """The reconstruction with its shapes, and their deviations, in a file."""
+    arrays = {"shapes": result.shapes}
+    if result.depth_deviation is not None:
+        arrays["depth_deviation"] = result.depth_deviation
+    with Target(path) as target:
+        writers = target.make({name: (array.shape, array.dtype) for name, array in arrays.items()})
+        for name, array in arrays.items():
+            writers[name].write(0, array)
+        written = target.finish()
+    return replace(result, shapes=written["shapes"], depth_deviation=written.get("depth_deviation"))
 
 
 def _seen_by_cameras(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nrsfm.errors import FileError, InputError
+from nrsfm.streaming.readers import WrittenMap, release
 
 if TYPE_CHECKING:
     from nrsfm.tracks import Tracks
@@ -231,7 +232,7 @@ def load_reconstruction(path: str | os.PathLike[str]) -> Reconstruction:
 
 
 def _real(value: Any, name: str) -> np.ndarray:
-    array = np.asarray(value)
+    array = value if isinstance(value, np.memmap) else np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: real numbers are needed, received dtype {array.dtype}")
     return array
@@ -246,7 +247,11 @@ def _of_shape(value: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
 
 def _check_points(shapes: np.ndarray) -> np.ndarray:
     """Return which points (P,) are finite in every frame; the others must be NaN everywhere."""
-    if all(bool(np.isfinite(frame).all()) for frame in shapes):  # frame by frame: no mask of the input's size
+    if isinstance(shapes, WrittenMap):
+        return np.ones(shapes.shape[1], dtype=bool)
+    if all(
+        bool(_walked(np.isfinite(frame).all(), shapes)) for frame in shapes
+    ):  # frame by frame: no mask of the input's size
         return np.ones(shapes.shape[1], dtype=bool)
     finite = np.isfinite(shapes[0, :, 0])
     for f, frame in enumerate(shapes):
@@ -264,6 +269,12 @@ def _check_points(shapes: np.ndarray) -> np.ndarray:
             f"shapes: at least {_LEAST_POINTS} points must be finite, received {count} of {len(finite)}, the others NaN"
         )
     return finite
+
+
+def _walked(found: np.bool_, array: np.ndarray) -> np.bool_:
+    """What was found in a frame; its pages are given back where the array is a map of a file."""
+    release(array)
+    return found
 
 
 def _listed(point: np.ndarray) -> str:
@@ -288,7 +299,10 @@ def _check_confidence(confidence: np.ndarray, reconstructed: np.ndarray) -> None
 
 
 def _check_deviation(deviation: np.ndarray, reconstructed: np.ndarray) -> None:
+    if isinstance(deviation, WrittenMap):
+        return
     for f, row in enumerate(deviation):
+        release(deviation)
         wrong = ~(np.isfinite(row) & (row >= 0)) & reconstructed
         wrong |= ~np.isnan(row) & ~reconstructed
         if wrong.any():

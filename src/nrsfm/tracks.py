@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from nrsfm.errors import InputError
+from nrsfm.streaming.stored import StoredPoints, is_stored
 
 MINIMUM_FRAMES = 3
 MINIMUM_POINTS = 4
+
+LARGE = 256 * 2**20
+"""Bytes from which on a memory map stays in its file."""
 
 # Checks look at this many numbers at a time, so that they never hold a second array of the input's size.
 _CHUNK = 1 << 20
@@ -22,8 +26,10 @@ class Tracks:
     """Point tracks of one sequence, time first.
 
     ``float32`` and ``float64`` arrays of any order, read-only or memory-mapped, are kept without a copy (as a
-    read-only view); other real types become ``float64``. Construction checks what every use needs; the size
-    that a reconstruction needs is checked by :meth:`require_reconstructible`.
+    read-only view); other real types become ``float64``. Arrays of h5py and zarr, and memory maps of 256 MB or more,
+    stay in their file: without ``visible`` their coordinates are checked when they are first read (``unchecked``).
+    Construction checks what every use needs; the size that a reconstruction needs is checked by
+    :meth:`require_reconstructible`.
 
     Parameters
     ----------
@@ -42,16 +48,20 @@ class Tracks:
     points: np.ndarray
     visible: np.ndarray | None = None
     n_missing: int = dataclasses.field(init=False, default=0)
+    unchecked: bool = dataclasses.field(init=False, default=False)
 
     def __post_init__(self) -> None:
-        points = _real_array(self.points, "points", keep=(np.float32, np.float64))
+        points = _whole_or_stored(self.points, "points")
         if points.ndim != 3 or points.shape[2] != 2:
             raise InputError(f"points: shape (frames, points, 2) is needed, received {points.shape}")
         if points.size == 0:
             raise InputError(f"points: at least one frame and one point are needed, received {points.shape}")
         visible = None if self.visible is None else _visibility(self.visible, points.shape[:2])
-        _check_finite(points, visible)
-        object.__setattr__(self, "points", _read_only(points))
+        stored = isinstance(points, StoredPoints) or (isinstance(points, np.memmap) and points.nbytes >= LARGE)
+        object.__setattr__(self, "unchecked", stored and visible is None)
+        if not self.unchecked:
+            _check_finite(points if isinstance(points, np.ndarray) else np.asarray(points), visible)
+        object.__setattr__(self, "points", points if isinstance(points, StoredPoints) else _read_only(points))
         object.__setattr__(self, "visible", None if visible is None else _read_only(visible))
         missing = 0 if visible is None else visible.size - int(np.count_nonzero(visible))
         object.__setattr__(self, "n_missing", missing)
@@ -91,7 +101,7 @@ class Tracks:
 
         Entries that were not seen keep whatever the points hold there.
         """
-        return self.points.transpose(0, 2, 1).reshape(2 * self.n_frames, self.n_points)
+        return np.asarray(self.points).transpose(0, 2, 1).reshape(2 * self.n_frames, self.n_points)
 
     @classmethod
     def from_point_first(cls, points: Any, occluded: Any = None) -> Tracks:
@@ -111,6 +121,10 @@ class Tracks:
                 f"{occluded.shape}"
             )
         return cls(points.transpose(1, 0, 2), ~occluded.T)
+
+    def in_memory(self) -> Tracks:
+        """The same tracks, read into memory and checked where they were left in their file."""
+        return Tracks(np.array(self.points), self.visible) if self.unchecked else self
 
     def require_reconstructible(self) -> None:
         """Raise ``InputError`` where no shape can come out: too few frames or points, or all points equal."""
@@ -150,11 +164,28 @@ def shapes_to_matrix(shapes: Any) -> np.ndarray:
     return shapes.transpose(0, 2, 1).reshape(3 * frames, points)
 
 
+def _whole_or_stored(value: Any, name: str) -> np.ndarray | StoredPoints:
+    """Points as an array, or as they are in their file where a library or a map reads them when asked."""
+    if is_stored(value):
+        if np.dtype(value.dtype).kind not in "fiu":
+            raise InputError(f"{name}: real numbers are needed, received dtype {value.dtype}")
+        if len(value.shape) != 3 or value.shape[2] != 2:
+            raise InputError(f"{name}: shape (frames, points, 2) is needed, received {tuple(value.shape)}")
+        return StoredPoints(value)
+    if isinstance(value, np.memmap) and value.ndim == 3 and value.nbytes >= LARGE and value.dtype.kind in "fiu":
+        if value.dtype in (np.float32, np.float64):
+            return value
+        return StoredPoints(value)
+    return value if isinstance(value, StoredPoints) else _real_array(value, name, keep=(np.float32, np.float64))
+
+
 def _plain_array(value: Any, name: str) -> np.ndarray:
     if isinstance(value, np.ma.MaskedArray):
         raise InputError(
             f"{name}: a plain array is needed, received a masked array (say what was seen through 'visible')"
         )
+    if isinstance(value, np.memmap):
+        return value  # as it is, so that what was read of the file can be given back
     try:
         return np.asarray(value)
     except Exception as error:  # array-likes of other libraries raise what they like

@@ -102,17 +102,22 @@ def depth_deviation(
     and ``mean`` are root mean squares of the parts in the same unit (after κ), ``harder`` is ρ.
     """
     with single_thread():
-        return _depth_deviation(shapes, compressed, rotations, scales, noise, rng)
+        model, report = deviation_model(shapes, compressed, rotations, scales, noise, rng)
+        first = _point_quadratic(compressed, model.first)
+        deform = np.zeros(len(first)) if model.deform is None else _point_quadratic(compressed, model.deform)
+        out, total = model.of(first, deform, compressed.labels)
+    return out, report | {"mean": float(model.scale * np.sqrt(total / out.size))}
 
 
-def _depth_deviation(
+def deviation_model(
     shapes: np.ndarray,
     compressed: CompressedTracks,
     rotations: np.ndarray,
     scales: np.ndarray,
     noise: float,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, dict[str, Any]]:
+) -> tuple[DeviationModel, dict[str, Any]]:
+    """What :func:`depth_deviation` makes the deviations of, and its report but for ``mean``; same parameters."""
     frames, points = len(shapes), compressed.measurements.count
     basis = _leading_directions(shapes)
     small = shapes @ basis.T
@@ -137,26 +142,54 @@ def _depth_deviation(
     poor = np.maximum(_mean_depth_variance(rotations) - 1.0, 0.0)
     extent = float(np.sum(tracks**2)) / (2.0 * frames * points)
     still = float(np.clip(2.0 * (1.0 - camera_turn(rotations) / LEAST_TURN), 0.0, 1.0))
-
-    first = _point_quadratic(compressed, basis, certain + short * second)
-    deform = _point_quadratic(compressed, basis, second) if poor.any() else np.zeros(points)
-    ripple = noise**2 * _noise_gains(shapes, compressed, rotations)
     scale = INFLATION * compressed.measurements.unit
-    out = np.empty((frames, points), dtype=np.float32)
-    totals = np.zeros(2)
-    for f in range(frames):
-        mean = np.clip(poor[f] * (deform + noise**2), still * extent, extent)
-        own = ripple[f][compressed.labels]
-        totals += mean.sum(), own.sum()
-        out[f] = scale * np.sqrt(weights[f] * first + mean + own)
+    model = DeviationModel(
+        first=_fields(compressed, basis, certain + short * second),
+        deform=_fields(compressed, basis, second) if poor.any() else None,
+        weights=weights,
+        poor=poor,
+        bounds=(still * extent, extent),
+        ripple=noise**2 * _noise_gains(shapes, compressed, rotations),
+        noise=noise,
+        scale=scale,
+    )
     parts = {
         "exchange": np.sqrt(float(np.trace(certain)) / points),
         "missing": np.sqrt(short * float(np.trace(second)) / points),
-        "noise": np.sqrt(totals[1] / (frames * points)),
-        "mean": np.sqrt(totals[0] / (frames * points)),
+        "noise": np.sqrt(float(np.sum(model.ripple @ compressed.sizes)) / (frames * points)),
+        "mean": 0.0,
     }
     report: dict[str, Any] = {name: float(scale * value) for name, value in parts.items()}
-    return out, report | {"harder": float(harder), "frames": len(chosen)}
+    return model, report | {"harder": float(harder), "frames": len(chosen)}
+
+
+@dataclass(frozen=True)
+class DeviationModel:
+    """What makes the deviation of a point out of its track: see the formula at the head of this file.
+
+    ``first``, ``deform``: for each cell fields (j, 2F) whose values on a track, squared and summed, are the form of the
+    shapes' second moments and that of the deformation. ``weights``, ``poor`` (F,): b_f, h_f − 1. ``bounds`` of m².
+    ``ripple`` (F, K): the noise's part. ``scale``: κ times the tracks' unit.
+    """
+
+    first: tuple[np.ndarray, ...]
+    deform: tuple[np.ndarray, ...] | None
+    weights: np.ndarray
+    poor: np.ndarray
+    bounds: tuple[float, float]
+    ripple: np.ndarray
+    noise: float
+    scale: float
+
+    def of(self, first: np.ndarray, deform: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, float]:
+        """Deviations (F, n) float32 of points with these forms (n,) and cells (n,); and the sum of m² over them."""
+        out = np.empty((len(self.weights), len(first)), dtype=np.float32)
+        total = 0.0
+        for f, weight in enumerate(self.weights):
+            mean = np.clip(self.poor[f] * (deform + self.noise**2), *self.bounds)
+            total += float(mean.sum())
+            out[f] = self.scale * np.sqrt(weight * first + mean + self.ripple[f][labels])
+        return out, total
 
 
 class _Scene:
@@ -304,20 +337,32 @@ def _noise_gains(shapes: np.ndarray, compressed: CompressedTracks, rotations: np
     depths = np.einsum("fi,fin->fn", rotations[:, 2], shapes)
     maps = compressed.maps or (np.linalg.pinv(compressed.factors.reshape(2 * len(shapes), -1), rcond=1e-6),)
     own = (depths[:, compressed.offsets[k] : compressed.offsets[k + 1]] for k in range(len(compressed.sizes)))
-    return np.stack([np.sum((part @ back) ** 2, axis=1) for part, back in zip(own, maps, strict=True)], axis=1)
+    # ‖d T‖² = d T Tᵀ dᵀ: the weights themselves, F × 2F for every cell, are never formed.
+    return np.stack(
+        [np.sum(part @ (back @ back.T) * part, axis=1) for part, back in zip(own, maps, strict=True)], axis=1
+    )
 
 
-def _point_quadratic(compressed: CompressedTracks, basis: np.ndarray, form: np.ndarray) -> np.ndarray:
-    """q_pᵀ form q_p (P,) for a non-negative form (k, k), with q_p = basis @ (the point's coordinates)."""
+def _fields(compressed: CompressedTracks, basis: np.ndarray, form: np.ndarray) -> tuple[np.ndarray, ...]:
+    """For each cell the map (j, 2F) of a track whose squares sum to q_pᵀ form q_p, form (k, k) non-negative.
+
+    q_p = basis @ (the point's coordinates). Without cells' maps: the values (j, N) themselves.
+    """
     values, vectors = np.linalg.eigh(form)
     live = values > 1e-6 * max(float(values[-1]), _TINY)
     fields = (vectors[:, live] * np.sqrt(values[live])).T @ basis
-    points = compressed.measurements.count
     if not compressed.maps:
-        return np.asarray(np.sum(fields**2, axis=0))
-    out = np.empty(points)
-    for k, members in enumerate(members_of_cells(compressed.labels, compressed.sizes)):
-        left = fields[:, compressed.offsets[k] : compressed.offsets[k + 1]] @ compressed.maps[k]
+        return (fields,)
+    own = (fields[:, a:b] for a, b in zip(compressed.offsets[:-1], compressed.offsets[1:], strict=True))
+    return tuple(part @ back for part, back in zip(own, compressed.maps, strict=True))
+
+
+def _point_quadratic(compressed: CompressedTracks, fields: tuple[np.ndarray, ...]) -> np.ndarray:
+    """The form (P,) of every point, from :func:`_fields`."""
+    if not compressed.maps:
+        return np.asarray(np.sum(fields[0] ** 2, axis=0))
+    out = np.empty(compressed.measurements.count)
+    for left, members in zip(fields, members_of_cells(compressed.labels, compressed.sizes), strict=True):
         for start in range(0, len(members), 4096):
             some = members[start : start + 4096]
             out[some] = np.sum((left @ compressed.measurements.columns(some)) ** 2, axis=0)

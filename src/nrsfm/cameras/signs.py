@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+FEW_FRAMES = 400
+"""Frames up to which the products of all pairs of frames are formed; both ways give the same signs."""
+
 
 def consistent_signs(rotations: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """Sign ±1 of each frame's first two rows that makes the frames agree on one mean shape.
@@ -19,11 +22,15 @@ def consistent_signs(rotations: np.ndarray, factor: np.ndarray) -> np.ndarray:
     back = (np.swapaxes(rotations[:, :2], 1, 2) @ factor.reshape(frames, 2, -1)).reshape(frames, -1)
     norms = np.linalg.norm(back, axis=1, keepdims=True)
     back = back / np.where(norms > 0, norms, 1.0)
-    gram = back @ back.T
-    leading = eigh(gram, subset_by_index=(frames - 1, frames - 1), check_finite=False)[1][:, 0]
+    own = np.sum(back * back, axis=1)
+    if frames <= FEW_FRAMES:
+        gram = back @ back.T
+        leading = eigh(gram, subset_by_index=(frames - 1, frames - 1), check_finite=False)[1][:, 0]
+    else:  # through the smaller Gram matrix: A Aᵀ of all frames is never formed
+        leading = back @ np.linalg.eigh(back.T @ back)[1][:, -1]
     sign = np.where(leading < 0, -1.0, 1.0)
     for _ in range(50):
-        pull = sign * (gram @ sign) - np.diag(gram)
+        pull = sign * (gram @ sign if frames <= FEW_FRAMES else back @ (back.T @ sign)) - own
         worst = int(np.argmin(pull))
         if pull[worst] >= -1e-12:
             break

@@ -26,7 +26,7 @@ def run(words: Sequence[str]) -> int:
         usage="nrsfm reconstruct TRACKS --out DIR [--method M] [options]",
         description="Reconstruct the 3D shape of every frame, and the cameras, from 2D point tracks.",
     )
-    parser.add_argument("tracks", metavar="TRACKS", help="file of tracks: .npz .npy .mat .h5 .csv")
+    parser.add_argument("tracks", metavar="TRACKS", help="file of tracks: .npz .npy .mat .h5 .zarr .csv")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to make")
     add_reading(parser)
     parser.add_argument(

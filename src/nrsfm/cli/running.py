@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from nrsfm.reconstruction import Reconstruction
+    from nrsfm.tracks import Tracks
 
 DEFAULT_METHOD = "auto"
 
@@ -147,15 +148,18 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
         mesh = _mesh_of_the_input(job, inputs)
         if mesh:
             log.info("faces: the %d that came with the tracks", len(mesh["faces"]))
+        aside = _shapes_aside(job, tracks, folder / RECONSTRUCTION)
         result = nrsfm.reconstruct(
             tracks,
             method=job.method,
             rotations=inputs.rotations,
             seed=job.seed,
             progress=stages,
-            **job.options,
+            **(job.options | aside),
             **mesh,
         )
+        if aside:  # an arrangement of ours, no wish of the user's
+            result = dataclasses.replace(result, options=result.options | {"shapes_file": None})
         stages("writing", None)
         result.save(folder / RECONSTRUCTION)
         config = {
@@ -176,13 +180,21 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
                 found = scores(result, truth)
             (folder / METRICS).write_text(to_json(found) + "\n", encoding="utf-8")
         warnings = [str(text) for text in result.diagnostics.get("warnings", [])]
-        if job.pictures:
+        if job.pictures and tracks.unchecked:
+            log.info("no pictures of tracks that stay in their file")
+        elif job.pictures:
             warnings += _draw(folder, inputs, result, found, stages, log)
         stages.close()
         log.info("done in %.2f s", time.perf_counter() - began)
     if not job.quiet:
         print(summary(result, found, stages.seconds, warnings, job.out))
     return 0
+
+
+def _shapes_aside(job: Job, tracks: Tracks, path: Path) -> dict[str, str]:
+    """The option that has the shapes written into the reconstruction's file as they are made, where memory is short."""
+    wanted = tracks.unchecked or job.options.get("memory") is not None
+    return {"shapes_file": str(path)} if wanted and not job.options.get("shapes_file") else {}
 
 
 def _draw(

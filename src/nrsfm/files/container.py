@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +33,12 @@ _READERS = {
     ".tsv": "text",
     ".txt": "text",
     ".json": "json_text",
+    ".zarr": "zarr_store",
 }
 
 _ZIP, _NPY, _HDF5, _MAT5 = "a zip archive", "a NumPy .npy array", "an HDF5 file", "a MATLAB 5 file"
+_STORE = "a zarr store"
+_STORE_FILES = ("zarr.json", ".zgroup", ".zarray")
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _EXPECTED: dict[str, set[str | None]] = {
     ".npz": {_ZIP},
@@ -42,6 +46,7 @@ _EXPECTED: dict[str, set[str | None]] = {
     ".h5": {_HDF5},
     ".hdf5": {_HDF5},
     ".mat": {_MAT5, _HDF5, None},
+    ".zarr": {_STORE},
 }
 _PICKLED = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
 _LISTED = 12  # names shown in an error before "..."
@@ -55,12 +60,14 @@ class DamagedFileError(FileError):
 class Entry:
     """One array of a file: what its header says, and how to read it.
 
-    ``dtype`` is a word for people: NumPy's name, or "object", "struct", "cell" for what is not numbers.
+    ``dtype`` is a word for people: NumPy's name, or "object", "struct", "cell" for what is not numbers. ``stored``
+    gives the array as it is in the file, read when it is sliced, where the library of the format can.
     """
 
     shape: tuple[int, ...]
     dtype: str
     read: Callable[[], np.ndarray]
+    stored: Callable[[], Any] | None = None
 
     def __str__(self) -> str:
         return f"{self.dtype} {'×'.join(map(str, self.shape)) or 'scalar'}"
@@ -151,6 +158,8 @@ def check_size(name: str, shape: tuple[int, ...], itemsize: int, limit: int) -> 
 
 def _sniff(target: Path) -> str | None:
     with reading(target, "a readable file"):
+        if target.suffix.lower() == ".zarr" and any((target / name).exists() for name in _STORE_FILES):
+            return _STORE
         if target.is_dir():
             raise FileError("it is a folder")
         if target.exists() and not target.is_file():

@@ -54,8 +54,13 @@ def _dataset(path: Path, name: str, item: Any, matlab: bool) -> Entry:
             array = np.asarray(file[name][()])
         return array.T if turned else array
 
+    def stored() -> Any:
+        import h5py
+
+        return h5py.File(path, "r")[name]  # the dataset keeps its file open
+
     dtype = "cell" if word == "cell" else "object" if item.dtype.kind == "O" else str(item.dtype)
-    return Entry(shape[::-1] if turned else shape, dtype, read_array)
+    return Entry(shape[::-1] if turned else shape, dtype, read_array, None if turned else stored)
 
 
 def _sparse(path: Path, name: str, group: Any) -> Entry:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
 from nrsfm.errors import FileError, InputError, suggest
 from nrsfm.files.cameras import rotations_from_array
 from nrsfm.files.container import NAMELESS, Entry, listing, open_arrays
-from nrsfm.tracks import Tracks, shapes_from_matrix
+from nrsfm.streaming.stored import StoredPoints, is_stored
+from nrsfm.tracks import LARGE, Tracks, shapes_from_matrix
 
 logger = logging.getLogger(__name__)
 
@@ -90,7 +93,8 @@ def load_tracks(
     entries = open_arrays(path)
     with _in_file(path):
         key = _choose(entries, name, tuple(_TRACKS), "tracks")
-        array = entries[key].read()
+        flagged = any(flag in entries for flag in (*_OCCLUDED, *_VISIBLE))
+        array = entries[key].read() if flagged or image_size is not None else _large_or_read(entries[key])
         layout = order or _layout(entries, key, _TRACKS, array, 2)
         array = _without_batch(array, 3, key)
         if layout != "matrix" and array.ndim == 3 and array.shape[2] == 2:
@@ -108,6 +112,9 @@ def load_tracks(
         elif key == "points" and layout == "point-first" and _is_relative(array):
             logger.warning("%s: every coordinate is in [0, 1]: if relative to the image, give its size", path)
         with _under_its_name(key):
+            if is_stored(array):
+                points: Any = _checked_store(array, layout)
+                return Tracks(points)
             if layout == "matrix":
                 return Tracks.from_measurement_matrix(array, visible)
             if layout == "point-first":
@@ -206,6 +213,24 @@ def _choose(entries: dict[str, Entry], name: str | None, known: tuple[str, ...],
     if NAMELESS in entries:
         return NAMELESS
     raise FileError(f"{what} need an array named {', '.join(known[:-1])} or {known[-1]}; found {listing(entries)}")
+
+
+def _large_or_read(entry: Entry) -> Any:
+    """A large array as it is in its file, a small one read."""
+    numbers = entry.dtype.startswith(("float", "int", "uint"))
+    if entry.stored is None or not numbers or len(entry.shape) not in (2, 3):
+        return entry.read()
+    return entry.stored() if math.prod(entry.shape) * np.dtype(entry.dtype).itemsize >= LARGE else entry.read()
+
+
+def _checked_store(array: Any, layout: str) -> StoredPoints:
+    """Points in a file, their shape checked as :class:`~nrsfm.tracks.Tracks` does that of arrays."""
+    shape = tuple(array.shape)
+    if layout == "matrix" and (len(shape) != 2 or shape[0] % 2):
+        raise InputError(f"W: a matrix (2 x frames, points) is needed, received shape {shape}")
+    if layout != "matrix" and (len(shape) != 3 or shape[2] != 2):
+        raise InputError(f"points: shape (frames, points, 2) is needed, received {shape}")
+    return StoredPoints(array, layout)
 
 
 def _layout(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nrsfm.errors import FileError, InputError
+from nrsfm.files import npz_in_place
 from nrsfm.files.atomic import atomic_file
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ OPTIONAL = ("groups", "confidence", "depth_deviation")
 """Arrays that a file may lack: those of an older version, and those of a method that has none."""
 ABOUT = "about"
 """The JSON text with the rest."""
+
+LARGE = 256 * 2**20
+"""Bytes from which on an array stays in its file and is mapped."""
 
 
 def write_reconstruction(result: Reconstruction, path: str | os.PathLike[str], *, overwrite: bool) -> None:
@@ -41,9 +45,29 @@ def write_reconstruction(result: Reconstruction, path: str | os.PathLike[str], *
         raise InputError(f"cannot save '{path}': options or diagnostics do not fit JSON: {error}") from error
     arrays = {name: getattr(result, name) for name in (*ARRAYS, *OPTIONAL)}
     given: dict[str, Any] = {name: array for name, array in arrays.items() if array is not None}
+    if _lies_in(result.shapes, path):  # they were written there block by block: the rest joins them
+        del given["shapes"]
+        if _lies_in(given.get("depth_deviation"), path):
+            del given["depth_deviation"]
+        _append(path, {"about": np.array(text), **given})
+        return
     with atomic_file(path, overwrite=overwrite) as stream:
         # Not compressed: the mantissas of coordinates are noise, and the gain would be a few percent.
         np.savez(stream, about=np.array(text), **given)
+
+
+def _lies_in(array: np.ndarray | None, path: str | os.PathLike[str]) -> bool:
+    """Whether an array is a map of this very file."""
+    name = getattr(array, "filename", None)
+    return name is not None and Path(path).exists() and os.path.samefile(name, path)
+
+
+def _append(path: str | os.PathLike[str], arrays: dict[str, np.ndarray]) -> None:
+    """Add arrays to a ``.npz`` file."""
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.asarray(array), allow_pickle=False)
 
 
 def read_reconstruction(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -64,7 +88,9 @@ def _read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
                 if missing:
                     listed = ", ".join(sorted(archive.files)) or "nothing"
                     raise FileError(f"'{path}' is not a reconstruction: {', '.join(missing)} missing, found {listed}")
-                return {name: archive[name] for name in (*ARRAYS, ABOUT, *OPTIONAL) if name in archive.files}
+                maps = npz_in_place.maps(path, LARGE)
+                wanted = [name for name in (*ARRAYS, ABOUT, *OPTIONAL) if name in archive.files]
+                return {name: maps[name] if name in maps else archive[name] for name in wanted}
     except FileError:  # a ValueError too: keep it from the clause below
         raise
     except OSError as error:

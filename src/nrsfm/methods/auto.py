@@ -71,6 +71,9 @@ LARGEST_SCATTER = 0.5
 LARGEST_MOVE = 12.0
 """Degrees by which trajectories of few frames may move a camera; where they move one farther they are not believed."""
 
+LONG, KEY_FRAMES = 1_000, 600
+"""Frames above which beginnings are compared and followed on so many key frames before the winner is on all."""
+
 FACTORS, COOLING, NEGLIGIBLE = 60, 0.8, 0.1
 """Columns of B, fall of σ² per iteration, and the variance, in units of σ², below which a direction gets no column."""
 
@@ -170,25 +173,32 @@ class Auto:
         screen = max(misfit_variance(problem, SCREEN) / unit**2, floor)
         found = {name: shapes / unit for name, shapes in begun.items()}
         noisy = problem.residual > LEAST_MISFIT
+        # A long sequence is begun, compared and followed on key frames; then the winner is followed on all of them.
+        keys = key_frames(len(tracks))
+        some, views = tracks[keys], cameras[keys]
+        few = {name: shapes[keys] for name, shapes in found.items()}
         judged: dict[str, float] = {}
-        if not (noisy and "trajectories" in found):  # else these are followed, whatever the others are worth
-            judged = {name: _judged(tracks, cameras, shapes, screen) for name, shapes in found.items()}
+        basis = 0
+        if not (noisy and "trajectories" in few):  # else these are followed, whatever the others are worth
+            judged = {name: _judged(some, views, shapes, screen) for name, shapes in few.items()}
         if options.closed_form and judged:
-            closed, by_basis = closed_form(tracks, cameras, screen)
+            closed, by_basis = closed_form(some, views, screen)
             if closed is not None:
-                found["closed form"] = closed
-                judged["closed form"] = max(by_basis.values())
+                few["closed form"] = closed
+                basis = max(by_basis, key=lambda k: (by_basis[k], k))
+                judged["closed form"] = by_basis[basis]
         fits: list[tuple[_Start, Fit]] = []
-        starts = _worth_following(found, judged, screen, noisy=noisy)
+        starts = _worth_following(few, judged, screen, noisy=noisy)
+        parts = len(starts) + (len(keys) < len(tracks))
         for number, start in enumerate(starts):
-            noise = max(start.noise, floor)
-            schedule = Schedule(FACTORS, noise, floor, noise / 10, COOLING, negligible=NEGLIGIBLE)
-
-            def told(share: float, done: int = number) -> None:
-                monitor(0.5 + 0.5 * (done + share) / len(starts))
-
-            fits.append((start, fit(tracks, cameras, start.shapes, schedule, told)))
-        start, best = _most_likely(fits, TELLING * tracks.shape[0] * tracks.shape[2], ordered=problem.ordered)
+            told = _part(monitor, 0.5 + 0.5 * number / parts, 0.5 / parts)
+            fits.append((start, fit(some, views, start.shapes, _schedule(start.noise, floor), told)))
+        start, best = _most_likely(fits, TELLING * some.shape[0] * some.shape[2], ordered=problem.ordered)
+        if len(keys) < len(tracks):
+            if start.name == "closed form":
+                found["closed form"] = closed_form_of(tracks, cameras, basis)
+            told = _part(monitor, 1.0 - 0.5 / parts, 0.5 / parts)
+            best = fit(tracks, cameras, found[start.name], _schedule(start.noise, floor), told)
         chosen: dict[str, Any] = {
             "start": start.name,
             "first_noise": start.noise,
@@ -198,6 +208,8 @@ class Auto:
             "factors": best.model.basis.shape[1],
             "directions": tracks.shape[2],
         }
+        if len(keys) < len(tracks):
+            chosen["key_frames"] = len(keys)
         shapes = unit * (np.swapaxes(cameras, 1, 2) @ best.shapes) @ back
         return Solution(shapes, None, best.iterations, best.reason, best.history, chosen)
 
@@ -289,17 +301,39 @@ def leading(problem: Problem, back: np.ndarray) -> tuple[Problem, np.ndarray]:
 def closed_form(tracks: np.ndarray, cameras: np.ndarray, noise: float) -> tuple[np.ndarray | None, dict[int, float]]:
     """The closed-form shapes whose likelihood is greatest over numbers of basis shapes K, and all likelihoods by K."""
     frames, _, count = tracks.shape
-    rows = cameras[:, :2]
     best, judged = None, {}
     most = largest_basis(frames, int(np.linalg.matrix_rank(tracks.reshape(2 * frames, count), tol=1e-9)))
     for basis in sorted({k for k in BASES if k <= most} | {most}):
         if basis < 2:
             continue
-        shapes = shapes_of_coefficients(linear_coefficients(tracks, rows, basis)[0], tracks, rows)
+        shapes = closed_form_of(tracks, cameras, basis)
         judged[basis] = likelihood = _judged(tracks, cameras, shapes, noise)
         if likelihood >= max(judged.values()):
             best = shapes
     return best, judged
+
+
+def closed_form_of(tracks: np.ndarray, cameras: np.ndarray, basis: int) -> np.ndarray:
+    """The closed-form shapes (F, 3, N) of ``basis`` basis shapes."""
+    rows = cameras[:, :2]
+    return shapes_of_coefficients(linear_coefficients(tracks, rows, basis)[0], tracks, rows)
+
+
+def key_frames(frames: int) -> np.ndarray:
+    """All frames, or ``KEY_FRAMES`` of them, evenly spread, where there are more than ``LONG``."""
+    if frames <= LONG:
+        return np.arange(frames)
+    return np.linspace(0, frames - 1, KEY_FRAMES).round().astype(np.int64)
+
+
+def _schedule(noise: float, floor: float) -> Schedule:
+    """From the first σ² of a beginning down to that of the tracks."""
+    noise = max(noise, floor)
+    return Schedule(FACTORS, noise, floor, noise / 10, COOLING, negligible=NEGLIGIBLE)
+
+
+def _part(monitor: Monitor, start: float, share: float) -> Monitor:
+    return lambda done: monitor(start + share * done)
 
 
 def _judged(tracks: np.ndarray, cameras: np.ndarray, shapes: np.ndarray, noise: float) -> float:

@@ -72,14 +72,17 @@ class Problem:
         """S = pinv(R) W = Rᵀ W, (F, 3, N)."""
         return self.rotations.transpose(0, 2, 1) @ self.tracks
 
-    def merged(self) -> tuple[Problem, np.ndarray]:
+    def merged(self, level: float = 0.0) -> tuple[Problem, np.ndarray]:
         """The same problem with all cells compressed into one, and the map (r, N) back to their columns.
 
-        Exact for whatever treats all columns alike, and smaller: N columns have at most 2F dimensions.
+        Exact for whatever treats all columns alike, and smaller: N columns have at most 2F dimensions. ``level`` cuts
+        as many trailing directions as together hold at most that root mean square per real coordinate.
         """
         flat = self.tracks.reshape(2 * len(self.tracks), -1)
         left, values, right = np.linalg.svd(flat, full_matrices=False)
         live = values > 1e-12 * max(float(values[0]), np.finfo(float).tiny)
+        if level > 0:
+            live &= np.cumsum(values[::-1] ** 2)[::-1] > level**2 * len(flat) * self.points
         live[0] = True
         tracks = (left[:, live] * values[live]).reshape(len(self.tracks), 2, -1)
         offsets, sizes = np.array([0, tracks.shape[2]]), np.array([self.points])

@@ -12,6 +12,13 @@ from nrsfm.manifolds.local import ColumnCells, refine_groups, signal_rank
 from nrsfm.methods.base import LowRankOptions, Problem
 from nrsfm.options import option
 
+LONG = 500
+"""Frames above which merged cells are cut to the directions that hold more than ``MERGED``."""
+
+MERGED = 1e-5
+"""Root mean square of a coordinate, in units of the tracks' own, that cut directions may hold together: a tenth of what
+the compression may cut."""
+
 
 @dataclass(frozen=True)
 class SpatialOptions(LowRankOptions):
@@ -83,9 +90,11 @@ class SpatialSubspaces:
         self._tracks = problem.tracks.reshape(-1, problem.tracks.shape[2])
         chosen = options.spatial_dimension
         self.truncates = problem.noise > 0 or chosen is not None
-        self.working, self._back = problem, np.zeros((0, 0))
+        self.working, self._back, self.cut = problem, np.zeros((0, 0)), 0.0
         if not self.truncates:
-            self.working, self._back = problem.merged()
+            self.working, self._back = problem.merged(MERGED if len(problem.tracks) > LONG else 0.0)
+            lost = float(np.sum(problem.tracks**2) - np.sum(self.working.tracks**2))
+            self.cut = np.sqrt(max(lost, 0.0) / (2 * len(problem.tracks) * problem.points))
         narrowest = int(np.diff(problem.offsets).min())
         self.dimension = int(np.clip(narrowest, 1, 6)) if chosen is None else chosen
         self.dimension = min(self.dimension, 3 * len(problem.tracks))
@@ -127,6 +136,8 @@ class SpatialSubspaces:
             "spatial_groups": int(self.groups.max()) + 1,
             "spatial_dimensions": self.dimensions,
             "grassmann_dimension": self.dimension,
+            "directions": self.working.tracks.shape[2],
+            "cut": float(self.cut),
         }
 
     def regroup(self, affinity: np.ndarray) -> None:

@@ -27,3 +27,9 @@ def single_thread() -> Iterator[None]:
     """Run the body with one BLAS thread; the setting before is restored after it."""
     with _controller().limit(limits=1, user_api="blas"):
         yield
+
+
+def blas_threads() -> int:
+    """Threads that the linear-algebra library uses at the moment; at least 1."""
+    found = [int(library["num_threads"]) for library in _controller().info() if library["user_api"] == "blas"]
+    return max(found, default=1)

@@ -1,0 +1,1 @@
+"""Tracks and shapes that are larger than memory: read, worked on and written in blocks of points."""

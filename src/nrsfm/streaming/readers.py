@@ -1,0 +1,187 @@
+"""How a pass reads blocks of points: from memory, or from a file without leaving its pages in memory.
+
+A reader can be sent to another process or machine where it reads a file; the file must then have the same path there.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from nrsfm.streaming.stored import StoredPoints
+
+
+class Reader(Protocol):
+    """Source of blocks of points."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(F, P, 2)."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the coordinates."""
+        ...
+
+    def read(self, start: int, stop: int) -> np.ndarray:
+        """Points ``start`` to ``stop`` in all frames, (F, n, 2)."""
+        ...
+
+
+@dataclass(frozen=True)
+class ArrayReader:
+    """Points (F, P, 2) in memory; a block is a view."""
+
+    points: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(F, P, 2)."""
+        return self.points.shape
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the coordinates."""
+        return self.points.dtype
+
+    def read(self, start: int, stop: int) -> np.ndarray:
+        """See :class:`Reader`."""
+        return self.points[:, start:stop]
+
+
+@dataclass(frozen=True)
+class FileReader:
+    """Points (F, P, 2) in C order from byte ``offset`` of a file; read frame by frame, never mapped.
+
+    Pages of a map that were touched count as memory of the process; what is read does not stay.
+    """
+
+    path: str
+    offset: int
+    size: tuple[int, ...]
+    kind: np.dtype
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(F, P, 2)."""
+        return self.size
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the coordinates."""
+        return self.kind
+
+    def read(self, start: int, stop: int) -> np.ndarray:
+        """See :class:`Reader`."""
+        frames, count, _ = self.shape
+        out = np.empty((frames, stop - start, 2), dtype=self.dtype)
+        point = 2 * self.dtype.itemsize
+        handle = os.open(self.path, os.O_RDONLY)
+        try:
+            for f in range(frames):
+                _read_exactly(handle, out[f], self.offset + (f * count + start) * point, self.path)
+        finally:
+            os.close(handle)
+        return out
+
+
+@dataclass(frozen=True)
+class MapReader:
+    """Points in a memory map of any order; its pages are given back after each block."""
+
+    points: np.memmap
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(F, P, 2)."""
+        return self.points.shape
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the coordinates."""
+        return self.points.dtype
+
+    def read(self, start: int, stop: int) -> np.ndarray:
+        """See :class:`Reader`."""
+        out = np.array(self.points[:, start:stop])
+        release(self.points)
+        return out
+
+
+@dataclass(frozen=True)
+class StoredReader:
+    """Points in an HDF5 dataset or a zarr array."""
+
+    points: StoredPoints
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(F, P, 2)."""
+        return self.points.shape
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the coordinates."""
+        return self.points.dtype
+
+    def read(self, start: int, stop: int) -> np.ndarray:
+        """See :class:`Reader`."""
+        return self.points.read(slice(None), slice(start, stop))
+
+
+class WrittenMap(np.memmap):
+    """A read-only map of a file that this process has just written: what is in it need not be checked again."""
+
+
+def reader_of(points: np.ndarray | StoredPoints) -> Reader:
+    """The reader that suits an array."""
+    if isinstance(points, StoredPoints):
+        return StoredReader(points)
+    place = _place(points)
+    if place is not None and points.flags.c_contiguous:
+        return FileReader(place[0], place[1], points.shape, points.dtype)
+    if isinstance(points, np.memmap) and is_mapped(points):
+        return MapReader(points)
+    return ArrayReader(points)
+
+
+def is_mapped(array: Any) -> bool:
+    """Whether an array is a view of a file, shared with it: what is in memory of it can be read again."""
+    return isinstance(array, np.memmap) and getattr(array, "_mmap", None) is not None and array.mode != "c"
+
+
+def release(array: Any) -> None:
+    """Give back the memory that reading a mapped file has taken; nothing else happens, to other arrays nothing."""
+    while type(array) is np.ndarray and array.base is not None:
+        array = array.base  # a plain view of a map
+    if is_mapped(array) and hasattr(mmap, "MADV_DONTNEED"):
+        array._mmap.madvise(mmap.MADV_DONTNEED)
+
+
+def _place(points: np.ndarray) -> tuple[str, int] | None:
+    """Path and byte of a mapped array's first number, or ``None`` where it is not known."""
+    if not isinstance(points, np.memmap) or not is_mapped(points) or points.filename is None:
+        return None
+    mapped: Any = points._mmap  # type: ignore[attr-defined]
+    first = np.frombuffer(mapped, dtype=np.uint8, count=1).__array_interface__["data"][0]
+    within = int(points.__array_interface__["data"][0]) - int(first)
+    start = points.offset - points.offset % mmap.ALLOCATIONGRANULARITY
+    path = os.fspath(points.filename)
+    if not 0 <= within < len(mapped) or not os.path.isfile(path):
+        return None
+    return str(path), start + within
+
+
+def _read_exactly(handle: int, row: np.ndarray, offset: int, path: str) -> None:
+    view = memoryview(row.data).cast("B")
+    done = 0
+    while done < len(view):
+        got = os.preadv(handle, [view[done:]], offset + done)
+        if got <= 0:
+            raise OSError(None, f"'{path}' ended while it was read: it has become shorter")
+        done += got
