@@ -47,6 +47,7 @@ from nrsfm.uncertainty import UncertaintyOptions, depth_deviation, deviation_mod
 
 _MIRROR_POINTS = 5_000  # at most about so many points tell which way the shape bulges
 _THIN = 1e-5  # points this much narrower than long lie on a line
+_LEADING = 96  # singular vectors of a long sequence: cameras and cells are found from fewer
 _COORDINATES = 10  # leading track coordinates in which cells and neighbours are found
 
 
@@ -136,7 +137,7 @@ def reconstruct_affine(
     with stages("reading tracks") as monitor:
         measured = points.measure(settings.seed, monitor) if isinstance(points, Stream) else measure(points)
         with single_thread():
-            values, vectors = spectrum(measured)
+            values, vectors = spectrum(measured, leading=max(_LEADING, 3 * (settings.camera.camera_rank or 0)))
         coordinates = track_coordinates(measured, vectors[:, :_COORDINATES])
         noise = _noise_level(measured, values, coordinates, pipeline, rng)
     denoise = method.denoise if pipeline.denoise is None else pipeline.denoise

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from nrsfm.errors import InputError
+from nrsfm.numerics.leading import FULL, leading_eigenpairs
 from nrsfm.numerics.noise import (
     noise_from_neighbours,
     noise_from_spectrum,
@@ -32,7 +33,10 @@ from nrsfm.numerics.noise import (
 )
 
 _CHUNK_BYTES = 4 * 2**20  # float64 working copy of a chunk of tracks
+_MANY_FRAMES = 512  # from here on chunks grow with the frames
 _LARGEST = 1e35  # spread of the tracks; shapes of that size still fit into float32
+_FIRST_DIRECTIONS = 128  # of a large cell of a long sequence; doubled until what is left out is negligible
+_TAIL_ROWS = 800  # rows, evenly spread over a long sequence, whose smallest singular values tell the noise
 _ROUNDING = 1e-7  # relative singular values below it are rounding in a float64 Gram matrix
 
 
@@ -84,7 +88,8 @@ def _spread(points: np.ndarray) -> float:
 
 
 def _chunks(frames: int, count: int) -> Iterator[slice]:
-    step = max(1, _CHUNK_BYTES // (16 * frames))
+    # Every chunk adds to a Gram matrix that grows with the square of the frames: long sequences get no fewer columns.
+    step = max(1, _CHUNK_BYTES // (16 * min(frames, _MANY_FRAMES)))
     for start in range(0, count, step):
         yield slice(start, min(start + step, count))
 
@@ -129,13 +134,23 @@ def out_of_range(spread: float) -> InputError:
     )
 
 
-def spectrum(measurements: Measurements, members: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def spectrum(
+    measurements: Measurements,
+    members: np.ndarray | None = None,
+    *,
+    leading: int | None = None,
+    energy: float = np.inf,
+    edge: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
     """Singular values (r,), descending, and left singular vectors (2F, r) of W, or of some of its columns.
 
-    Through the smaller of the two Gram matrices; r = min(2F, number of columns).
+    Through the smaller of the two Gram matrices; r = min(2F, number of columns). Of long sequences with many columns
+    (:data:`nrsfm.numerics.leading.FULL`) only the leading ones, where ``leading`` says how many at least: more until
+    what is left out has at most ``energy`` as its squared norm, or the last singular value is at most ``edge``.
     """
     rows, count = 2 * measurements.frames, measurements.count if members is None else len(members)
-    if count < rows:
+    few = min(rows, count) > FULL and leading is not None
+    if count < rows and not few:
         block = measurements.columns(slice(None) if members is None else members)
         squares, right = np.linalg.eigh(block.T @ block)
         values = np.sqrt(np.maximum(squares[::-1], 0.0))
@@ -146,6 +161,9 @@ def spectrum(measurements: Measurements, members: np.ndarray | None = None) -> t
         for part in _chunks(measurements.frames, count):
             block = measurements.columns(members[part])
             gram += block @ block.T
+    if few:
+        found = leading_eigenpairs(gram, int(leading or 0), energy=energy, least=edge**2)
+        return np.sqrt(found.values), found.vectors
     squares, vectors = np.linalg.eigh(gram)
     return np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
 
@@ -235,10 +253,17 @@ def compress(
     floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
     cells = []
     for indices in members_of_cells(labels, sizes):
-        values, vectors = spectrum(measurements, indices)
+        energy, edge = _negligible(measurements.frames, len(indices), noise, tolerance, floor)
+        values, vectors = spectrum(measurements, indices, leading=_FIRST_DIRECTIONS, energy=energy, edge=edge)
         risk = risk_of_shrinking(values, (len(vectors), len(indices)), noise)
         cells.append((*_factor(values, vectors, len(indices), noise, tolerance, floor), risk))
     return _joined(measurements, labels, sizes, cells)
+
+
+def _negligible(frames: int, count: int, noise: float, tolerance: float, floor: float) -> tuple[float, float]:
+    """What may be left out of a cell unseen, a quarter of what the tolerance allows; noise's largest singular value."""
+    edge = noise * (np.sqrt(2 * frames) + np.sqrt(count))
+    return max(tolerance**2 * frames * count / 2, floor**2), edge
 
 
 def _joined(
@@ -280,10 +305,11 @@ def compress_grams(
     floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
 
     def factor(k: int) -> tuple[np.ndarray, np.ndarray, float]:
-        squares, vectors = np.linalg.eigh(grams[k])
-        values = np.sqrt(np.maximum(squares[::-1], 0.0))
-        risk = risk_of_shrinking(values, (len(vectors), int(sizes[k])), noise)
-        return *_factor(values, vectors[:, ::-1], int(sizes[k]), noise, tolerance, floor), risk
+        energy, edge = _negligible(measurements.frames, int(sizes[k]), noise, tolerance, floor)
+        found = leading_eigenpairs(grams[k], _FIRST_DIRECTIONS, energy=energy, least=edge**2)
+        values = np.sqrt(found.values)
+        risk = risk_of_shrinking(values, (len(found.vectors), int(sizes[k])), noise)
+        return *_factor(values, found.vectors, int(sizes[k]), noise, tolerance, floor), risk
 
     return _joined(measurements, labels, sizes, list(apply(factor, range(len(grams)))))
 
@@ -313,7 +339,12 @@ def estimate_noise(
     The lesser of two upper bounds: from the tail of the singular values, and from neighbouring tracks (sampled).
     """
     rows, count = 2 * measurements.frames, measurements.count
-    tail = noise_from_spectrum(values**2, rows, count)
+    if len(values) < min(rows, count):  # a long sequence: white noise is alike in all frames, so that some tell
+        chosen = np.linspace(0, rows - 1, _TAIL_ROWS).round().astype(np.int64)
+        squares = np.linalg.eigvalsh(measurements.gram[np.ix_(chosen, chosen)])[::-1]
+        tail = noise_from_spectrum(squares, len(chosen), count)
+    else:
+        tail = noise_from_spectrum(values**2, rows, count)
     neighbours = 24
     here = len(coordinates)  # fewer than all where the points are a sample
     if here < 4 * neighbours:

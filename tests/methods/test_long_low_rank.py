@@ -55,14 +55,31 @@ def test_all_frames_are_key_frames_of_sequences_that_are_not_long():
     assert np.all(np.diff(keys) > 0)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_a_beginning_found_on_key_frames_leads_to_shapes_as_good(monkeypatch, noise):
-    face = face_sequence(frames=80, points=160, noise=noise)
-    usual = reconstruct(face.tracks, rotations=face.rotations, deviation=False, trajectories=False)
+@pytest.fixture
+def few_keys(monkeypatch):
+    """Sequences of more than 50 frames count as long."""
+    monkeypatch.setattr(auto, "LONG", 50)
+    monkeypatch.setattr(auto, "KEY_FRAMES", 45)
+
+
+def test_exact_shapes_are_found_from_key_frames(sequence, few_keys):
+    made = sequence(frames=90, points=30, rank=2)
+    problem = problem_of(made)
+    found = solved("auto", problem)
+    assert found.chosen["key_frames"] == 45
+    size = np.linalg.norm(made.shapes, axis=(1, 2)) / np.linalg.norm(found.shapes, axis=(1, 2))
+    shapes = np.swapaxes(found.shapes, 1, 2) * size.mean()
+    assert shape_error(shapes, made.shapes, align="per-frame") < 1e-3
+
+
+def test_shapes_that_begin_on_key_frames_are_as_good(monkeypatch):
+    face = face_sequence(frames=56, points=90, noise=0.01)
+    given = {"rotations": face.rotations, "deviation": False, "trajectories": False}
+    usual = reconstruct(face.tracks, **given)
     assert "key_frames" not in usual.diagnostics["chosen"]
-    monkeypatch.setattr(auto, "LONG", 60)
-    monkeypatch.setattr(auto, "KEY_FRAMES", 50)
-    keyed = reconstruct(face.tracks, rotations=face.rotations, deviation=False, trajectories=False)
-    assert keyed.diagnostics["chosen"]["key_frames"] == 50
+    monkeypatch.setattr(auto, "LONG", 50)
+    monkeypatch.setattr(auto, "KEY_FRAMES", 45)
+    keyed = reconstruct(face.tracks, **given)
+    assert keyed.diagnostics["chosen"]["key_frames"] == 45
     before, after = (shape_error(found.shapes, face.shapes, align="per-frame") for found in (usual, keyed))
     assert after <= 1.05 * before + 1e-4

@@ -33,7 +33,7 @@ import numpy as np
 
 from nrsfm.manifolds.procrustes import procrustes_mean
 from nrsfm.manifolds.rotations import whole_rotations
-from nrsfm.methods.base import LowRankOptions, Monitor, Needs, Problem, Solution, solve_global
+from nrsfm.methods.base import LowRankOptions, Monitor, Needs, Problem, Solution, cut_by, solve_global
 from nrsfm.methods.gaussian_trajectories import applies, refine
 from nrsfm.methods.linear_coefficients import largest_basis, linear_coefficients, shapes_of_coefficients
 from nrsfm.methods.procrustean_fit import Fit, Schedule, fit, unit_size
@@ -129,6 +129,7 @@ class Auto:
             problem, chosen["smoothing"] = without_noise(problem)
         merged, back = problem.merged()
         merged, back = leading(merged, back)
+        chosen["cut"] = cut_by(problem, merged)
         first = solve_global(merged, LowRankOptions(reweight=REWEIGHT), lambda share: monitor(0.1 * share))
         along = None
         if options.trajectories and applies(problem) is None:

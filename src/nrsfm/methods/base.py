@@ -89,6 +89,12 @@ class Problem:
         return replace(self, tracks=tracks, offsets=offsets, sizes=sizes), right[live]
 
 
+def cut_by(whole: Problem, merged: Problem) -> float:
+    """What merging has cut from the tracks: root mean square per real coordinate, in units of the tracks' own."""
+    lost = float(np.sum(whole.tracks**2) - np.sum(merged.tracks**2))
+    return float(np.sqrt(max(lost, 0.0) / (2 * len(whole.tracks) * whole.points)))
+
+
 @dataclass
 class Solution:
     """What a method found: ``shapes`` (F, 3, N).

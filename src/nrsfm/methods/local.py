@@ -9,7 +9,7 @@ import numpy as np
 
 from nrsfm.clustering import spectral_groups
 from nrsfm.manifolds.local import ColumnCells, refine_groups, signal_rank
-from nrsfm.methods.base import LowRankOptions, Problem
+from nrsfm.methods.base import LowRankOptions, Problem, cut_by
 from nrsfm.options import option
 
 LONG = 500
@@ -93,8 +93,7 @@ class SpatialSubspaces:
         self.working, self._back, self.cut = problem, np.zeros((0, 0)), 0.0
         if not self.truncates:
             self.working, self._back = problem.merged(MERGED if len(problem.tracks) > LONG else 0.0)
-            lost = float(np.sum(problem.tracks**2) - np.sum(self.working.tracks**2))
-            self.cut = np.sqrt(max(lost, 0.0) / (2 * len(problem.tracks) * problem.points))
+            self.cut = cut_by(problem, self.working)
         narrowest = int(np.diff(problem.offsets).min())
         self.dimension = int(np.clip(narrowest, 1, 6)) if chosen is None else chosen
         self.dimension = min(self.dimension, 3 * len(problem.tracks))
@@ -137,7 +136,7 @@ class SpatialSubspaces:
             "spatial_dimensions": self.dimensions,
             "grassmann_dimension": self.dimension,
             "directions": self.working.tracks.shape[2],
-            "cut": float(self.cut),
+            "cut": self.cut,
         }
 
     def regroup(self, affinity: np.ndarray) -> None:

@@ -44,7 +44,7 @@ class Leading:
 
 
 def leading_eigenpairs(
-    gram: np.ndarray, count: int, *, energy: float = np.inf, least: float = 0.0, full: int = FULL
+    gram: np.ndarray, count: int, *, energy: float = np.inf, least: float = 0.0, full: int | None = None
 ) -> Leading:
     """The ``count`` leading eigenpairs of a positive semidefinite matrix (n, n), or more of them.
 
@@ -57,8 +57,9 @@ def leading_eigenpairs(
     energy, least
         The number is doubled until what is left out is at most ``energy``, or the last eigenvalue at most ``least``.
     full
-        Up to so many rows, and where half of all pairs or more are wanted, all pairs are computed.
+        Up to so many rows (``FULL``), and where half of all pairs or more are wanted, all pairs are computed.
     """
+    full = FULL if full is None else full
     size = len(gram)
     trace = float(np.trace(gram))
     start = np.zeros((size, 0))
@@ -93,7 +94,8 @@ def _subspace_iteration(gram: np.ndarray, count: int, start: np.ndarray, trace: 
         last = values[:count]
         if used >= _LEAST_ROUNDS and not moving[last > _STANDS_OUT * max(float(values[-1]), 0.0)].any():
             break
-        basis = np.linalg.qr(image @ turn)[0]
+        if used < _ROUNDS:
+            basis = np.linalg.qr(image @ turn)[0]
     vectors = basis @ turn[:, :count]
     gap = image @ turn[:, :count] - vectors * last
     residual = float(np.linalg.norm(gap, axis=0).max()) / max(float(last[0]), np.finfo(float).tiny)

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nrsfm.clustering import kmeans
+from nrsfm.numerics.leading import leading_eigenpairs
 from nrsfm.reconstruction import Reconstruction
 from nrsfm.repair.options import Repaired
 
@@ -161,11 +162,13 @@ def _sight(result: Reconstruction, shapes: np.ndarray, noise: float) -> _Sight:
     for start in range(0, count, _BLOCK):
         part = shapes[:, start : start + _BLOCK].astype(np.float64).reshape(frames, -1)
         gram += part @ part.T
-    values, vectors = np.linalg.eigh(gram)
-    values = np.sqrt(np.maximum(values[::-1], 0.0))
+    # Of a long sequence no more pairs than are kept.
+    least = max(_WEAK**2 * float(np.trace(gram)) / 2, (0.3 * noise) ** 2 * count)
+    found = leading_eigenpairs(gram, 64, energy=0.0, least=least)
+    values = np.sqrt(found.values)
     kept = values > max(_WEAK * values[0], 0.3 * noise * np.sqrt(count))
     kept[:1] = True
-    basis = vectors[:, ::-1][:, kept] * np.sqrt(frames)
+    basis = found.vectors[:, kept] * np.sqrt(frames)
     unit = float(np.sqrt(np.mean([np.mean((x - x.mean(axis=0)) ** 2) for x in result.project()])))
     image = result.scales[:, None, None] * result.rotations[:, :2]
     return _Sight(
@@ -239,7 +242,7 @@ class _Work:
             fitted = np.trace(np.eye(design.shape[2]) - inverse, axis1=1, axis2=2).mean() * len(part)
             self._note_level(residual[use], float(fitted))
             flat = (mean + latent @ spread.T).reshape(len(part), -1, 3)
-            self.shapes[:, part] = np.einsum("fk,nka->fna", sight.basis, flat)
+            self.shapes[:, part] = np.tensordot(sight.basis, flat, axes=(1, 1))  # one product of matrices
             tilted = np.einsum("nfk,fk->fn", depths @ inverse, depths)
             self.deviation[:, part] = np.sqrt(np.maximum(tilted, 0.0))
             self.done += len(part)
