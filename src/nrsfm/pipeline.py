@@ -123,7 +123,7 @@ def _reconstruct(tracks: Tracks, run: _Run, report: Report) -> Reconstruction:
     stages = Stages(report)
     settings = run.settings
     answer = None
-    if may_stream(tracks, run.method, settings.pipeline):
+    if may_stream(tracks, run.method, settings):
 
         def by_cells(result: Reconstruction) -> Reconstruction:
             return _by_cells(tracks.points, result, settings.seed, stages)

@@ -29,6 +29,7 @@ from nrsfm.tracks import Tracks
 LARGE = 20_000_000
 """Entries, frames times points, from which on tracks in memory are read in blocks too."""
 
+_GRAMS = 2 * 2**30  # bytes that the Gram matrices of all cells may take
 _FEWEST = 1_000  # points: fewer are no trouble in memory
 _ASKED = 20_000  # points of the sample that are asked about outliers
 _JUDGED = 2_000  # points of the sample that are asked about perspective
@@ -38,9 +39,15 @@ _AT_EASE = 2**30  # bytes of tracks that are read into memory where no limit is 
 Answer = tuple[Reconstruction, dict[str, Any], Repaired]
 
 
-def may_stream(tracks: Tracks, method: Method, options: PipelineOptions) -> bool:
-    """Whether these tracks go through in blocks: complete, for a method on the compression, large or asked for."""
+def may_stream(tracks: Tracks, method: Method, settings: Settings) -> bool:
+    """Whether these tracks go through in blocks: complete, for a method on the compression, large or asked for.
+
+    Long sequences, whose cells' Gram matrices are themselves large, are worked on as a whole.
+    """
+    options = settings.pipeline
     if not tracks.complete or method.needs.every_point or tracks.n_points < max(2 * tracks.n_frames, _FEWEST):
+        return False
+    if method.cells(settings.method, tracks.n_points, tracks.n_frames) * (2 * tracks.n_frames) ** 2 * 8 > _GRAMS:
         return False
     asked = options.memory is not None or options.shapes_file is not None
     return asked or tracks.unchecked or tracks.n_frames * tracks.n_points > LARGE
