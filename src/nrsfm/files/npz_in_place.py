@@ -24,6 +24,7 @@ _UNKNOWN = 0xFFFFFFFF  # the real number is in the extension
 _BLOCK = 1 << 22
 
 Arrays = Mapping[str, tuple[tuple[int, ...], np.dtype]]
+"""Shape and type of each array, by name."""
 
 
 def write_header(stream: IO[bytes], shape: tuple[int, ...], dtype: np.dtype) -> int:

@@ -11,12 +11,18 @@ from nrsfm.errors import FileError
 from nrsfm.files.container import NAMELESS, Entry
 
 
-def read(path: Path) -> dict[str, Entry]:
-    """Return the arrays of a store by path; one that is no group has one array without a name."""
+def import_zarr() -> Any:
+    """Return zarr. Raises ``FileError`` where it is not installed."""
     try:
         import zarr
     except ImportError as error:
         raise FileError("zarr stores need the package zarr: pip install 'nrsfm[zarr]'") from error
+    return zarr
+
+
+def read(path: Path) -> dict[str, Entry]:
+    """Return the arrays of a store by path; one that is no group has one array without a name."""
+    zarr = import_zarr()
     opened = zarr.open(str(path), mode="r")
     if isinstance(opened, zarr.Array):
         return {NAMELESS: _entry(opened)}

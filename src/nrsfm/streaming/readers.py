@@ -8,11 +8,13 @@ from __future__ import annotations
 import mmap
 import os
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from nrsfm.streaming.stored import StoredPoints
+
+Points = TypeVar("Points", np.ndarray, np.memmap, StoredPoints)
 
 
 class Reader(Protocol):
@@ -34,10 +36,10 @@ class Reader(Protocol):
 
 
 @dataclass(frozen=True)
-class ArrayReader:
-    """Points (F, P, 2) in memory; a block is a view."""
+class _OfPoints(Generic[Points]):
+    """Shape and type of a reader are those of its points."""
 
-    points: np.ndarray
+    points: Points
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -48,6 +50,11 @@ class ArrayReader:
     def dtype(self) -> np.dtype:
         """Of the coordinates."""
         return self.points.dtype
+
+
+@dataclass(frozen=True)
+class ArrayReader(_OfPoints[np.ndarray]):
+    """Points (F, P, 2) in memory; a block is a view."""
 
     def read(self, start: int, stop: int) -> np.ndarray:
         """See :class:`Reader`."""
@@ -91,20 +98,8 @@ class FileReader:
 
 
 @dataclass(frozen=True)
-class MapReader:
+class MapReader(_OfPoints[np.memmap]):
     """Points in a memory map of any order; its pages are given back after each block."""
-
-    points: np.memmap
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(F, P, 2)."""
-        return self.points.shape
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Of the coordinates."""
-        return self.points.dtype
 
     def read(self, start: int, stop: int) -> np.ndarray:
         """See :class:`Reader`."""
@@ -114,20 +109,8 @@ class MapReader:
 
 
 @dataclass(frozen=True)
-class StoredReader:
+class StoredReader(_OfPoints[StoredPoints]):
     """Points in an HDF5 dataset or a zarr array."""
-
-    points: StoredPoints
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(F, P, 2)."""
-        return self.points.shape
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Of the coordinates."""
-        return self.points.dtype
 
     def read(self, start: int, stop: int) -> np.ndarray:
         """See :class:`Reader`."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,12 +18,11 @@ import numpy as np
 
 from nrsfm.errors import FileError, OptionError
 from nrsfm.files import npz_in_place
+from nrsfm.files.npz_in_place import Arrays
+from nrsfm.files.zarr_store import import_zarr
 from nrsfm.streaming.readers import WrittenMap
 
 EXTENSIONS = (".npy", ".npz", ".h5", ".hdf5", ".zarr")
-Arrays = Mapping[str, tuple[tuple[int, ...], np.dtype]]
-"""Shape and type of each array, by name."""
-
 _CHUNK_BYTES = 4 * 2**20  # of a chunk in zarr
 
 
@@ -157,7 +155,7 @@ class Target:
         return {name: FileWriter(str(aside), offsets[name], shape, dtype) for name, (shape, dtype) in arrays.items()}
 
     def _make_zarr(self, arrays: Arrays) -> dict[str, Writer]:
-        group = _zarr().open_group(str(self._aside(_given(self.path))), mode="w")
+        group = import_zarr().open_group(str(self._aside(_given(self.path))), mode="w")
         found: dict[str, Writer] = {}
         for name, (shape, dtype) in arrays.items():
             chunks = (shape[0], min(shape[1], self.granule(shape[0])), *shape[2:])
@@ -183,7 +181,7 @@ class Target:
             os.replace(aside, path)
         self._files = {}
         if self._kind == ".zarr":
-            group = _zarr().open_group(str(self.path), mode="r")
+            group = import_zarr().open_group(str(self.path), mode="r")
             return {name: np.asarray(group[name][:]) for name in self._names}
         return {
             name: WrittenMap(self._file_of(name), made.dtype, "r", made.offset, made.shape)
@@ -236,11 +234,3 @@ def _given(path: Path | None) -> Path:
     """The path of a target that is no memory."""
     assert path is not None  # noqa: S101 - of our own making, not a user's
     return path
-
-
-def _zarr() -> Any:
-    try:
-        import zarr
-    except ImportError as error:
-        raise FileError("zarr files need the package zarr: pip install 'nrsfm[zarr]'") from error
-    return zarr
