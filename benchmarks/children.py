@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.runs import THREADS
@@ -18,15 +19,24 @@ class TaskError(RuntimeError):
     """The task ended with an error; the message holds the end of what it wrote to stderr."""
 
 
-def run_task(module: str, settings: dict[str, Any], threads: int = TIMED_THREADS) -> dict[str, Any]:
-    """Run ``python -m benchmarks.<module>`` with settings as JSON on stdin; its stdout is the JSON result."""
+KEEPS_MEMORY = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "100000000000"}
+"""Environment in which a process (of glibc) keeps the memory that it has freed, and takes from it what it needs."""
+
+
+def run_task(
+    module: str, settings: dict[str, Any], threads: int = TIMED_THREADS, more: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """Run ``python -m benchmarks.<module>`` with settings as JSON on stdin; its stdout is the JSON result.
+
+    ``more``: added to its environment.
+    """
     done = subprocess.run(
         [sys.executable, "-m", f"benchmarks.{module}"],
         input=json.dumps(settings),
         capture_output=True,
         text=True,
         cwd=ROOT,
-        env=environment(threads),
+        env=environment(threads) | (more or {}),
         check=False,
     )
     if done.returncode:

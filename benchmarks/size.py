@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from statistics import median
+from statistics import mean, median
 from typing import Any
 
-from benchmarks import quiet, store, targets
-from benchmarks.children import TIMED_THREADS, TaskError
+from benchmarks import long_task, quiet, store, targets
+from benchmarks.children import KEEPS_MEMORY, TIMED_THREADS, TaskError
 from benchmarks.size_data import Size
 from benchmarks.size_parts import (
     ACTOR,
@@ -25,7 +25,7 @@ from benchmarks.size_parts import (
     VERTICES,
     scratch,
 )
-from benchmarks.tables import Check, amount, error, table
+from benchmarks.tables import Check, amount, error, noise_words, table
 
 TITLE = "Any size"
 _GROWS = 1.25, 0.005  # a stage grows with the points where it takes so many times as long, and so many seconds more
@@ -135,9 +135,36 @@ def _speed_check(values: dict[str, Any]) -> Check:
     return Check(f"29,299 × 99, 3% noise, `{METHOD}`: time / one dense SVD", ratio, targets.SIZE_SVD, "×")
 
 
+def _long_rows(part: dict[str, Any]) -> dict[tuple[str, float], dict[int, list[dict[str, Any]]]]:
+    """Runs by method and noise, then by number of frames, 0 for the pieces."""
+    found: dict[tuple[str, float], dict[int, list[dict[str, Any]]]] = {}
+    for row in part["rows"]:
+        found.setdefault((row["method"], row["noise"]), {})[row["frames"]] = row["runs"]
+    return found
+
+
+def _long_checks(values: dict[str, Any]) -> list[Check]:
+    part = _part(values, "long")
+    what = f"{long_task.POINTS:,} × {long_task.FRAMES}"
+    if part is None:
+        return [Check(f"{what}: time", None, targets.SIZE_LONG_SECONDS, " s")]
+    rows = _long_rows(part)
+    wholes = [runs[long_task.FRAMES][0] for runs in rows.values()]
+    found = [
+        Check(f"{what}: longest time", max(w["seconds"] for w in wholes), targets.SIZE_LONG_SECONDS, " s"),
+        Check(f"{what}: peak memory", max(w["peak_bytes"] for w in wholes) / GIGA, targets.SIZE_MEMORY, " GB"),
+    ]
+    for (method, noise), runs in rows.items():
+        ratio = runs[long_task.FRAMES][0]["per-frame"] / mean(run["per-frame"] for run in runs[0])
+        words = f"{what}, {noise_words(noise)}, `{method}`: error / mean of its {long_task.PIECE}-frame pieces"
+        found.append(Check(words, ratio, targets.SIZE_LONG_ERROR, "×"))
+    return found
+
+
 def checks(values: dict[str, Any]) -> list[Check]:
-    """Time, memory and error of the largest sequence, growth, ten million points, and the SVD."""
-    return [*_actor_checks(values), *_growth_checks(values), _millions_check(values), _speed_check(values)]
+    """Time, memory and error of the largest sequence, growth, ten million points, the SVD, and a long sequence."""
+    first = [*_actor_checks(values), *_growth_checks(values), _millions_check(values), _speed_check(values)]
+    return [*first, *_long_checks(values)]
 
 
 def render(values: dict[str, Any]) -> list[str]:
@@ -212,19 +239,26 @@ def _render_growth(part: dict[str, Any]) -> list[str]:
         ]
         for name in names
     ]
+    fresh = sum(_stage_medians(part["fresh"])[name] for name in growing)
     virtual = " → ".join(f"{part[name]['virtual_points']:,}" for name in ("few", "many"))
     lines = [
         f"**What grows with the number of points** (in memory, `deviation=False`, medians of {ROUNDS} rounds; a stage "
         f"grows where it takes more than {_GROWS[0]:g} times as long): {sum(growing.values()):.2f} s at "
         f"{_words(MANY)}, beside {median(part['many']['gram']):.2f} s for one float64 `W @ W.T` of the same tracks. An "
         f"iteration takes {1e3 * _iteration(part['few']):.2f} → {1e3 * _iteration(part['many']):.2f} ms ({virtual} "
-        "virtual points).",
+        f"virtual points). The process keeps the memory that it has freed ({_memory_settings()}); otherwise the same "
+        f"stages take {fresh:.2f} s: the system gives {12e-9 * MANY.points * MANY.frames:.1f} GB of new memory for the "
+        "shapes.",
         "",
         *table(["stage, seconds", _words(FEW), _words(MANY), "grows"], rows),
         "The same tracks from file to file:",
         "",
     ]
     return lines + _render_whole({"large": part["file"]})
+
+
+def _memory_settings() -> str:
+    return ", ".join(f"`{name}={value}`" for name, value in KEEPS_MEMORY.items())
 
 
 def _render_speed(part: dict[str, Any]) -> list[str]:
@@ -268,10 +302,49 @@ def _grid_cells(row: dict[str, Any]) -> list[str]:
     ]
 
 
+def _render_long(part: dict[str, Any]) -> list[str]:
+    head = ["method", "tracks", "frames", "seconds", "peak, GB", "e3D", "one alignment", "virtual points"]
+    head += ["directions", "key frames", "‖W‖² cut or shrunk away", "left out of the directions"]
+    rows = []
+    for (method, noise), by_frames in _long_rows(part).items():
+        for frames, runs in by_frames.items():
+            rows.append([f"`{method}`", noise_words(noise), *_long_cells(frames, runs)])
+    return [
+        f"**Thousands of frames**: `{long_task.TAKE}`, {long_task.POINTS:,} points, float32, under a head that turns "
+        "and nods; its first frames, and the whole; then "
+        f"{long_task.PIECES} pieces of {long_task.PIECE} frames, each on its own (means; the most memory). Nothing set "
+        "but the method; single runs. What the directions of the iteration leave out is a root mean square per "
+        "coordinate in units of the tracks' own.",
+        "",
+        *table(head, rows),
+    ]
+
+
+def _long_cells(frames: int, runs: list[dict[str, Any]]) -> list[str]:
+    def average(name: str) -> float:
+        return mean(run[name] for run in runs)
+
+    last = runs[-1]
+    pieces = f"{len(runs)} pieces of {long_task.PIECE}"
+    return [
+        f"{frames:,}" if frames else pieces,
+        f"{average('seconds'):.1f}",
+        f"{max(run['peak_bytes'] for run in runs) / GIGA:.2f}",
+        error(average("per-frame")),
+        error(average("global")),
+        f"{round(average('virtual_points')):,}",
+        str(last["directions"] or "") if frames else "",
+        str(last["key_frames"] or "") if frames else "",
+        f"{average('discarded'):.1e}",
+        f"{last['cut']:.1e}" if frames and last["cut"] else "",
+    ]
+
+
 _RENDERED: dict[str, Callable[[dict[str, Any]], list[str]]] = {
     "actor": _render_whole,
     "ten-million": _render_whole,
     "growth": _render_growth,
     "speed": _render_speed,
+    "long": _render_long,
     "grid": _render_grid,
 }

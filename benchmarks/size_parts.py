@@ -13,7 +13,8 @@ from statistics import median
 from typing import Any
 
 from benchmarks import store, targets
-from benchmarks.children import run_task
+from benchmarks.children import KEEPS_MEMORY, run_task
+from benchmarks.long_task import FRAMES
 from benchmarks.size_data import Size, surface, write_tracks
 
 METHOD = "geometry-aware"
@@ -60,14 +61,19 @@ def _run(
     method: str = METHOD,
     from_file: bool = True,
     rounds: int = 1,
+    keeps_memory: bool = False,
 ) -> dict[str, Any]:
-    """One reconstruction in a process of its own: from file to file, or in memory."""
+    """One reconstruction in a process of its own: from file to file, or in memory.
+
+    ``keeps_memory``: what a round has freed serves the next one, so that medians hold no time of the system's for new
+    memory.
+    """
     shapes = folder / "shapes" / "shapes.npy"
     shapes.parent.mkdir(exist_ok=True)
     given = {"file": str(_file(folder, size)), "mapped": from_file, "shapes_file": str(shapes) if from_file else None}
     given |= {"size": dataclasses.asdict(size), "method": method, "options": options, "rounds": rounds, "score": True}
     try:
-        row = run_task("size_task", given)
+        row = run_task("size_task", given, more=KEEPS_MEMORY if keeps_memory else None)
     finally:
         shutil.rmtree(shapes.parent)
     names = ("size", "method", "options", "mapped")
@@ -85,8 +91,9 @@ def _actor(folder: Path) -> dict[str, Any]:
 
 def _growth(folder: Path) -> dict[str, Any]:
     """In memory, where nothing waits for a disk; and the larger one from file to file."""
-    few, many = (_run(folder, s, CELLS | BARE, from_file=False, rounds=ROUNDS) for s in (FEW, MANY))
-    return {"few": few, "many": many, "file": _run(folder, MANY, CELLS | BARE)}
+    few, many = (_run(folder, s, CELLS | BARE, from_file=False, rounds=ROUNDS, keeps_memory=True) for s in (FEW, MANY))
+    fresh = _run(folder, MANY, CELLS | BARE, from_file=False, rounds=ROUNDS)
+    return {"few": few, "many": many, "fresh": fresh, "file": _run(folder, MANY, CELLS | BARE)}
 
 
 def _millions(folder: Path) -> dict[str, Any]:
@@ -108,10 +115,28 @@ def _grid(folder: Path) -> dict[str, Any]:
     return {"rows": rows}
 
 
+LONG_FRAMES = (346, 1000, 2000, FRAMES)
+LONG_METHODS, LONG_NOISE = (METHOD, "auto"), (0.0, 0.01)
+
+
+def _long(_: Path) -> dict[str, Any]:
+    """The beginning of a long take, more and more of it; and pieces of it, each on its own."""
+    rows = []
+    for method in LONG_METHODS:
+        for noise in LONG_NOISE:
+            for frames in (*LONG_FRAMES, 0):
+                given = {"method": method, "noise": noise, "frames": frames}
+                found = run_task("long_task", given)["rows"]
+                store.say(f"size: long: {given}: {sum(row['seconds'] for row in found):.1f} s")
+                rows.append(given | {"runs": found})
+    return {"rows": rows}
+
+
 PARTS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "actor": _actor,
     "growth": _growth,
     "ten-million": _millions,
     "speed": _speed,
+    "long": _long,
     "grid": _grid,
 }

@@ -79,6 +79,8 @@ SIZE_MEMORY = 8.0  # GB, the same
 SIZE_ERROR = 2.0  # percent between its error and that of 6,706 points
 SIZE_PASS = 4.0  # times one W·Wᵀ: what grows with the number of points
 SIZE_BUDGET = 4.0  # GB for 10,000,000 points in 100 frames
+SIZE_LONG_SECONDS = 600.0  # 4,030 frames of 6,706 points
+SIZE_LONG_ERROR = 1.05  # times the mean error of its 99-frame pieces
 SIZE_SVD = 1.0  # times one dense SVD: 29,299 points in 99 frames, 3% noise, Algorithm 2
 
 # Tracking.

@@ -10,6 +10,7 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,8 @@ from nrsfm.cameras import (
     estimate_cameras,
     mirrored,
 )
-from nrsfm.clustering import kmeans, kmeans_centres
+from nrsfm.checkpoints import Checkpoint
+from nrsfm.clustering import kmeans
 from nrsfm.compression import (
     CompressedTracks,
     Measurements,
@@ -42,13 +44,14 @@ from nrsfm.numerics.threads import single_thread
 from nrsfm.options import option
 from nrsfm.progress import Report
 from nrsfm.reconstruction import Reconstruction
+from nrsfm.streaming.runners import Threads
 from nrsfm.streaming.stream import Stream
 from nrsfm.uncertainty import UncertaintyOptions, depth_deviation, deviation_model
 
 _MIRROR_POINTS = 5_000  # at most about so many points tell which way the shape bulges
 _THIN = 1e-5  # points this much narrower than long lie on a line
-_LEADING = 96  # singular vectors of a long sequence: cameras and cells are found from fewer
 _COORDINATES = 10  # leading track coordinates in which cells and neighbours are found
+_LEADING = 96  # singular vectors of a long sequence: cameras and cells are found from fewer
 
 
 @dataclass(frozen=True)
@@ -83,16 +86,30 @@ class PipelineOptions:
         "File that the shapes are written to, block by block: .npy, .npz, .h5 or .zarr. The result is then a map of "
         "the file (of .zarr it is read). Default: memory.",
     )
+    checkpoint: str | None = option(
+        None,
+        "Folder in which finished stages are kept: an interrupted run that is started again goes on after the last of "
+        "them. Default: nothing is kept.",
+    )
+    cluster: str | None = option(
+        None,
+        "Workers that do the passes over the points: the address of a dask scheduler, such as tcp://host:8786; in "
+        "Python also a dask.distributed Client or a concurrent.futures.Executor. Default: the threads of this process.",
+    )
     ordered: bool = option(
         True, "The frames follow one another in time. Off refuses methods that need it (see nrsfm methods)."
     )
 
 
 class Stages:
-    """Names, times and reports the stages of one run; the time of a stage inside another counts for itself alone."""
+    """Names, times and reports the stages of one run; the time of a stage inside another counts for itself alone.
 
-    def __init__(self, report: Report) -> None:
+    ``kept`` gives the result of a stage that may be in the run's checkpoint.
+    """
+
+    def __init__(self, report: Report, checkpoint: Checkpoint | None = None) -> None:
         self.seconds: dict[str, float] = {}
+        self.kept = (checkpoint or Checkpoint()).kept
         self._report = report
         self._inner = [0.0]  # seconds of the stages inside each open one
         self._open: list[str] = []
@@ -142,21 +159,18 @@ def reconstruct_affine(
         noise = _noise_level(measured, values, coordinates, pipeline, rng)
     denoise = method.denoise if pipeline.denoise is None else pipeline.denoise
     with stages("cameras") as monitor:
-        cameras = _cameras(measured, values, vectors, known, noise, settings.camera, settings.seed, monitor)
-    # The cells' eigenproblems are small: threads would cost more than they give.
+        seen = (measured, values, vectors, known, noise, settings.camera, settings.seed, monitor)
+        cameras = stages.kept("cameras", partial(_cameras, *seen))
+    # The cells' eigenproblems are small: one thread each, several at a time.
+    several = Threads()
     with stages("compression") as monitor, single_thread():
-        level = noise if denoise else 0.0
-        if isinstance(points, Stream):
-            centres = kmeans_centres(coordinates, method.cells(settings.method, measured.count, measured.frames), rng)
-            directions = vectors[:, :_COORDINATES]
-            compressed = points.compress(
-                measured, directions, centres, noise=level, tolerance=pipeline.tolerance, told=monitor
-            )
-        elif method.needs.every_point:
+        if method.needs.every_point:
             compressed = uncompressed(measured)
         else:
-            labels = kmeans(coordinates, method.cells(settings.method, measured.count, measured.frames), rng)
-            compressed = compress(measured, labels, noise=level, tolerance=pipeline.tolerance)
+            level, cells = noise if denoise else 0.0, method.cells(settings.method, measured.count, measured.frames)
+            about = (points, measured, coordinates, cells, level, pipeline.tolerance, rng, several, monitor)
+            compressed = stages.kept("compression", partial(_compressed, *about), rng=rng, held=(measured,))
+            del about
         del coordinates  # as large as a tenth of short tracks, and not needed again
     with stages(method.name) as monitor, single_thread():
         problem = Problem(
@@ -169,7 +183,8 @@ def reconstruct_affine(
             residual=compressed.residual,
             ordered=pipeline.ordered,
         )
-        solution = method.solve(problem, settings.method, rng, monitor)
+        solve = partial(method.solve, problem, settings.method, rng, monitor)
+        solution = stages.kept(method.name, solve, rng=rng)
     warnings = [*_on_lines(measured), *cameras.warnings, *solution.warnings]
     reference = cameras.rotations
     cameras = _moved_by_the_method(cameras, solution)
@@ -219,6 +234,24 @@ def reconstruct_affine(
         method=method.name,
         options={"denoise": denoise},
     )
+
+
+def _compressed(
+    points: np.ndarray | Stream,
+    measured: Measurements,
+    coordinates: np.ndarray,
+    cells: int,
+    noise: float,
+    tolerance: float,
+    rng: np.random.Generator,
+    several: Threads,
+    monitor: Callable[[float], None],
+) -> CompressedTracks:
+    """Points to cells, and each cell to its virtual points."""
+    if isinstance(points, Stream):
+        return points.compress(measured, noise=noise, tolerance=tolerance, told=monitor)
+    labels = kmeans(coordinates, cells, rng)
+    return compress(measured, labels, noise=noise, tolerance=tolerance, apply=several.map)
 
 
 def _expanded(

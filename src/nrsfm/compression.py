@@ -233,7 +233,12 @@ def members_of_cells(labels: np.ndarray, sizes: np.ndarray) -> list[np.ndarray]:
 
 
 def compress(
-    measurements: Measurements, labels: np.ndarray, *, noise: float = 0.0, tolerance: float = 0.0
+    measurements: Measurements,
+    labels: np.ndarray,
+    *,
+    noise: float = 0.0,
+    tolerance: float = 0.0,
+    apply: Callable[..., Iterable[Any]] = map,
 ) -> CompressedTracks:
     """Second pass: the factor of every cell.
 
@@ -247,17 +252,20 @@ def compress(
         Standard deviation of the tracks' noise in units of ``measurements.unit``; 0 compresses exactly.
     tolerance
         Largest root mean square per coordinate that the cut directions of a cell may hold together, same unit.
+    apply
+        Maps a function over the cells: ``map``, or one that has several at a time.
     """
     sizes = np.bincount(labels)
     size = float(np.trace(measurements.gram))
     floor = _ROUNDING * float(np.sqrt(max(size, 0.0)))
-    cells = []
-    for indices in members_of_cells(labels, sizes):
+
+    def factor(indices: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         energy, edge = _negligible(measurements.frames, len(indices), noise, tolerance, floor)
         values, vectors = spectrum(measurements, indices, leading=_FIRST_DIRECTIONS, energy=energy, edge=edge)
         risk = risk_of_shrinking(values, (len(vectors), len(indices)), noise)
-        cells.append((*_factor(values, vectors, len(indices), noise, tolerance, floor), risk))
-    return _joined(measurements, labels, sizes, cells)
+        return *_factor(values, vectors, len(indices), noise, tolerance, floor), risk
+
+    return _joined(measurements, labels, sizes, list(apply(factor, members_of_cells(labels, sizes))))
 
 
 def _negligible(frames: int, count: int, noise: float, tolerance: float, floor: float) -> tuple[float, float]:

@@ -6,8 +6,10 @@ reconstructed again → reconstruction of all points.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -15,6 +17,7 @@ import numpy as np
 
 from nrsfm.affine import PipelineOptions, Settings, Stages, reconstruct_affine
 from nrsfm.cameras import CameraOptions, cameras_from_known
+from nrsfm.checkpoints import checkpoint, content_of
 from nrsfm.errors import InputError
 from nrsfm.gauge import GaugeOptions
 from nrsfm.methods import get_method
@@ -25,7 +28,8 @@ from nrsfm.perspective import PerspectiveOptions, with_perspective
 from nrsfm.progress import Report, TerminalProgress, silent
 from nrsfm.reconstruction import Reconstruction
 from nrsfm.repair import Repaired, RepairOptions, Resection, repair, resect, resect_by_cells, trusted_points
-from nrsfm.streamed import may_stream, reconstruct_streamed, require_room
+from nrsfm.streamed import may_stream, reconstruct_streamed, require_room, why_whole
+from nrsfm.streaming.cluster import addressed, runner_of
 from nrsfm.streaming.targets import Target
 from nrsfm.tracks import Tracks
 from nrsfm.uncertainty import UncertaintyOptions
@@ -34,6 +38,7 @@ logger = logging.getLogger(__name__)
 
 _PLAIN = "geometry-aware"  # bends least of perspective into the shapes
 _EXACT_ROUNDS, _NOISY_ROUNDS = 2, 3  # of reconstruction and resection where tracks have holes
+_ELSEWHERE = {"checkpoint", "cluster", "shapes_file"}  # options that say where the work is done or goes
 _SECOND_OPINION = 1_000_000  # entries up to which it is asked first whether there is perspective
 
 STAGE_OPTIONS: dict[str, type] = {
@@ -98,6 +103,8 @@ def reconstruct(
     """
     tracks = tracks if isinstance(tracks, Tracks) else Tracks(tracks)
     tracks.require_reconstructible()
+    if "cluster" in options:
+        options["cluster"] = addressed(options["cluster"])
     solver = get_method(method)
     pipeline, repairing, camera, perspective, gauge, uncertainty, own = split_options(
         (*STAGE_OPTIONS.values(), solver.Options), options, f"method '{method}'"
@@ -120,7 +127,14 @@ def reconstruct(
 
 
 def _reconstruct(tracks: Tracks, run: _Run, report: Report) -> Reconstruction:
-    stages = Stages(report)
+    with checkpoint(run.settings.pipeline.checkpoint, lambda: _identity(tracks, run)) as kept:
+        result = _reconstruct_in_stages(tracks, run, Stages(report, kept))
+    if kept.taken:
+        result.diagnostics["taken_from_checkpoint"] = kept.taken
+    return result
+
+
+def _reconstruct_in_stages(tracks: Tracks, run: _Run, stages: Stages) -> Reconstruction:
     settings = run.settings
     answer = None
     if may_stream(tracks, run.method, settings):
@@ -128,11 +142,15 @@ def _reconstruct(tracks: Tracks, run: _Run, report: Report) -> Reconstruction:
         def by_cells(result: Reconstruction) -> Reconstruction:
             return _by_cells(tracks.points, result, settings.seed, stages)
 
-        answer = reconstruct_streamed(
-            tracks, run.method, run.known, settings, run.repair, run.perspective, stages, by_cells
-        )
+        with runner_of(settings.pipeline.cluster) as runner:
+            answer = reconstruct_streamed(
+                tracks, run.method, run.known, settings, run.repair, run.perspective, stages, by_cells, runner
+            )
     result, perspective, repaired = _in_memory(tracks, run, stages) if answer is None else answer
     warnings = [*repaired.warnings, *result.diagnostics["warnings"]]
+    if answer is None and settings.pipeline.cluster is not None:
+        why = why_whole(tracks, run.method, settings) or "the tracks hold outliers or show perspective"
+        warnings.append(f"cluster: {why}: this was worked on as a whole, by this process alone")
     evidence = perspective.get("mirror") or {}
     mirror = dict(result.diagnostics["cameras"].get("mirror") or {})
     if evidence.get("decided"):
@@ -150,11 +168,7 @@ def _reconstruct(tracks: Tracks, run: _Run, report: Report) -> Reconstruction:
     }
     if mirror:
         diagnostics["mirror"] = mirror
-    recorded: dict[str, Any] = {"seed": settings.seed}
-    for options in (settings.pipeline, run.repair, settings.camera, run.perspective, settings.gauge):
-        recorded |= _recorded(options)
-    recorded |= _recorded(settings.uncertainty) | _recorded(settings.method) | result.options
-    result = replace(result, diagnostics=diagnostics, options=recorded)
+    result = replace(result, diagnostics=diagnostics, options=_all_options(run) | result.options)
     result = _of_all_points(result, repaired)
     if answer is None and settings.pipeline.shapes_file is not None:
         return _to_file(result, settings.pipeline.shapes_file)
@@ -167,7 +181,9 @@ def _in_memory(tracks: Tracks, run: _Run, stages: Stages) -> tuple[Reconstructio
     require_room(tracks, settings.pipeline, f"tracks with gaps or outliers, and those of method '{run.method.name}',")
     tracks = tracks.in_memory()
     with stages("repair") as monitor:
-        repaired = repair(tracks, run.repair, np.random.default_rng([settings.seed, 2]), monitor)
+        rng = np.random.default_rng([settings.seed, 2])
+        work = functools.partial(repair, tracks, run.repair, rng, monitor)
+        repaired = stages.kept("repair", work, held=(tracks.points, tracks.visible))
     if repaired.good is not None and not run.method.needs.every_point:
         return _with_holes(tracks, repaired, run, stages)
     points = _columns(repaired.points, repaired.kept)
@@ -222,7 +238,8 @@ def _by_cells(points: np.ndarray, result: Reconstruction, seed: int, stages: Sta
         return result
     rng, seen = np.random.default_rng([seed, 3]), np.ones(points.shape[:2], dtype=bool)
     with stages("resection") as advance, single_thread():
-        return _as_resected(result, resect_by_cells(result, result.shapes, points, seen, noise, rng, advance))
+        work = functools.partial(resect_by_cells, result, result.shapes, points, seen, noise, rng, advance)
+        return _as_resected(result, stages.kept("resection", work))
 
 
 def _with_holes(
@@ -251,13 +268,10 @@ def _with_holes(
         noise = result.diagnostics["noise"]
         shapes = None if trusted is not kept else result.shapes
         with stages("resection") as advance, single_thread():
-            if shapes is None:
-                found = resect(result, measured, seen, noise, advance)
-                shapes = found.shapes
-            if repaired.noisy:
-                found = resect_by_cells(result, shapes, measured, seen, noise, rng, advance)
-                if not told:  # what is filled in has no noise, what is wrong had much
-                    run = _told(run, found.noise)
+            about = (result, shapes, measured, seen, noise, repaired.noisy, rng, advance)
+            found = stages.kept("resection", functools.partial(_resected, *about), rng=rng)
+            if repaired.noisy and not told:  # what is filled in has no noise, what is wrong had much
+                run = _told(run, found.noise)
         overlooked[:, kept] = found.wrong
         clean = trusted & ~overlooked.any(axis=0)
         if repaired.noisy:
@@ -271,6 +285,25 @@ def _with_holes(
     report = repaired.report | {"outliers": repaired.report["outliers"] + number, "overlooked_at_first": number}
     confidence = np.where(overlooked, np.float32(0), _given(repaired.confidence))
     return result, perspective, replace(repaired, confidence=confidence, report=report)
+
+
+def _resected(
+    result: Reconstruction,
+    shapes: np.ndarray | None,
+    points: np.ndarray,
+    seen: np.ndarray,
+    noise: float,
+    noisy: bool,
+    rng: np.random.Generator,
+    advance: Callable[[float], None],
+) -> Resection:
+    """Every point from where it was seen; noisy ones cell by cell. ``shapes``: of all points, where they are known."""
+    if shapes is None:
+        found = resect(result, points, seen, noise, advance)
+        if not noisy:
+            return found
+        shapes = found.shapes
+    return resect_by_cells(result, shapes, points, seen, noise, rng, advance)
 
 
 def _told(run: _Run, noise: float) -> _Run:
@@ -387,6 +420,29 @@ def _camera_options(options: CameraOptions, method: Method, own: Any, *, ordered
     if method.camera_method in ("intersection", "grown", "rigid"):
         rank = options.camera_rank  # their K is a number of its own, or none
     return replace(options, camera_method=name, camera_rank=rank)
+
+
+def _all_options(run: _Run) -> dict[str, Any]:
+    """Seed and options of every stage as plain values."""
+    settings = run.settings
+    recorded: dict[str, Any] = {"seed": settings.seed}
+    stages = (settings.pipeline, run.repair, settings.camera, run.perspective, settings.gauge, settings.uncertainty)
+    for options in (*stages, settings.method):
+        recorded |= _recorded(options)
+    recorded["cluster"] = None if settings.pipeline.cluster is None else str(settings.pipeline.cluster)
+    return recorded
+
+
+def _identity(tracks: Tracks, run: _Run) -> dict[str, Any]:
+    """What a checkpoint must be of: version, method, tracks, cameras, and the options that the result depends on."""
+    from nrsfm import __version__
+
+    digests = {
+        name: None if array is None else hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()[:16]
+        for name, array in (("cameras", run.known), ("visible", None if tracks.complete else tracks.visible))
+    }
+    options = {f"option {name}": value for name, value in _all_options(run).items() if name not in _ELSEWHERE}
+    return {"version": __version__, "method": run.method.name, "tracks": content_of(tracks.points)} | digests | options
 
 
 def _recorded(options: Any) -> dict[str, Any]:

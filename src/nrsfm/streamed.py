@@ -21,6 +21,7 @@ from nrsfm.repair import Repaired, RepairOptions, repair
 from nrsfm.streaming.memory import resident
 from nrsfm.streaming.plan import bytes_of
 from nrsfm.streaming.readers import is_mapped, release
+from nrsfm.streaming.runners import Runner
 from nrsfm.streaming.stored import StoredPoints
 from nrsfm.streaming.stream import Stream
 from nrsfm.streaming.targets import Target
@@ -45,12 +46,24 @@ def may_stream(tracks: Tracks, method: Method, settings: Settings) -> bool:
     Long sequences, whose cells' Gram matrices are themselves large, are worked on as a whole.
     """
     options = settings.pipeline
-    if not tracks.complete or method.needs.every_point or tracks.n_points < max(2 * tracks.n_frames, _FEWEST):
+    if why_whole(tracks, method, settings) is not None:
         return False
-    if method.cells(settings.method, tracks.n_points, tracks.n_frames) * (2 * tracks.n_frames) ** 2 * 8 > _GRAMS:
-        return False
-    asked = options.memory is not None or options.shapes_file is not None
+    asked = options.memory is not None or options.shapes_file is not None or options.cluster is not None
     return asked or tracks.unchecked or tracks.n_frames * tracks.n_points > LARGE
+
+
+def why_whole(tracks: Tracks, method: Method, settings: Settings) -> str | None:
+    """Why these tracks cannot go through in blocks, or ``None`` where they can."""
+    frames, points = tracks.n_frames, tracks.n_points
+    if not tracks.complete:
+        return "the tracks have missing entries"
+    if method.needs.every_point:
+        return f"method '{method.name}' needs every point"
+    if points < max(2 * frames, _FEWEST):
+        return f"{points} points of {frames} frames are few"
+    if method.cells(settings.method, points, frames) * (2 * frames) ** 2 * 8 > _GRAMS:
+        return f"the cells' Gram matrices of {frames} frames are large"
+    return None
 
 
 def require_room(tracks: Tracks, options: PipelineOptions, why: str) -> None:
@@ -82,18 +95,20 @@ def reconstruct_streamed(
     perspective: PerspectiveOptions,
     stages: Stages,
     by_cells: Callable[[Reconstruction], Reconstruction],
+    runner: Runner | None = None,
 ) -> Answer | None:
     """The reconstruction, the report on perspective and that on repair; ``None`` where the ordinary path is needed.
 
-    ``by_cells``: the resection of noisy tracks, for what is in memory.
+    ``by_cells``: the resection of noisy tracks, for what is in memory. ``runner``: who works on the points.
     """
     options = settings.pipeline
     room = None if options.memory is None else max((bytes_of(options.memory) - resident()) // 2, 32 * 2**20)
     target = Target(options.shapes_file)
     _require_small_output(target, tracks, options)
-    stream = Stream(tracks.points, target, room)
+    cells = method.cells(settings.method, tracks.n_points, tracks.n_frames)
+    stream = Stream(tracks.points, target, room, runner, cells)
     with stages("reading tracks") as monitor:
-        measured = stream.measure(settings.seed, monitor)
+        measured = stream.measure(settings.seed, monitor, stages.kept)
     indices = np.arange(stream.count) if measured.indices is None else measured.indices
     asked = np.linspace(0, len(indices) - 1, min(_ASKED, len(indices))).astype(np.int64)
     warnings: list[str] = []

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from benchmarks import size, size_data, size_parts, store, targets
+from benchmarks import long_task, size, size_data, size_parts, store, targets
 from benchmarks.children import TaskError, run_task
 from benchmarks.size_data import Size, surface, write_tracks
 from benchmarks.size_scores import Moments, errors_of
@@ -109,7 +109,32 @@ def _row(made, seconds=1.0, **other):
     return row | {"options": {}, "method": "geometry-aware", "warnings": []} | other
 
 
-def _values(large=1.0, error=0.02, expansion=0.3, iteration=0.3, peak=2e9, solve=0.9):
+def _long_rows(error, peak, seconds):
+    """Rows of the part about long sequences, all alike but for the whole with noise."""
+    rows = []
+    for method in size_parts.LONG_METHODS:
+        for noise in size_parts.LONG_NOISE:
+            for frames in (*size_parts.LONG_FRAMES, 0):
+                run = {"start": 0, "seconds": 9.0, "peak_bytes": 2e9, "per-frame": 0.01, "global": 0.02}
+                run |= {"discarded": 1e-6, "virtual_points": 300, "directions": 90, "cut": 1e-5, "key_frames": None}
+                if noise and frames == long_task.FRAMES:
+                    run |= {"seconds": seconds, "peak_bytes": peak, "per-frame": error}
+                runs = [run] if frames else [run] * long_task.PIECES
+                rows.append({"method": method, "noise": noise, "frames": frames, "runs": runs})
+    return rows
+
+
+def _values(
+    large=1.0,
+    error=0.02,
+    expansion=0.3,
+    iteration=0.3,
+    peak=2e9,
+    solve=0.9,
+    long_error=0.01,
+    long_peak=2e9,
+    long_seconds=9.0,
+):
     growing = [{"geometry-aware": iteration, "cameras": 0.2, "expansion": expansion}]
     few = _row(size.FEW, stages=[{"geometry-aware": 0.3, "cameras": 0.2, "expansion": 0.08}], seconds=0.6)
     many = _row(size.MANY, stages=growing, seconds=0.22 + expansion + iteration)
@@ -118,7 +143,8 @@ def _values(large=1.0, error=0.02, expansion=0.3, iteration=0.3, peak=2e9, solve
             "large": _row(size.ACTOR, large, errors={"per-frame": error, "global": 0.03}),
             "small": _row(size.VERTICES),
         },
-        "growth": {"few": few, "many": many, "file": many},
+        "growth": {"few": few, "many": many, "fresh": many, "file": many},
+        "long": {"rows": _long_rows(long_error, long_peak, long_seconds)},
         "ten-million": {"large": _row(size.MILLIONS, options={"memory": "4GB"}, peak_bytes=peak)},
         "speed": {"runs": {"face": {"seconds": [solve], "cells": 50}}, "svd": [1.0]},
         "grid": {"rows": [_row(size.FEW)]},
@@ -139,13 +165,16 @@ def _values(large=1.0, error=0.02, expansion=0.3, iteration=0.3, peak=2e9, solve
         ({"iteration": 0.4}, {"time of an iteration"}),
         ({"peak": 4.1e9}, {"10,000,000 × 100: peak memory"}),
         ({"solve": 1.01}, {"one dense SVD"}),
+        ({"long_seconds": 601.0}, {"longest time"}),
+        ({"long_peak": 8.1e9}, {"4030: peak memory"}),
+        ({"long_error": 0.0106}, {"`geometry-aware`: error / mean", "`auto`: error / mean"}),
     ],
 )
 def test_each_target_can_be_missed(worse, missed):
     values = _values(**worse)
     found = [check.what for check in size.checks(values) if not check.passed]
     assert len(found) == len(missed)
-    assert all(words in what for words, what in zip(missed, found, strict=True))
+    assert all(any(words in what for what in found) for words in missed)
     text = "\n".join(size.render(values))
     assert text.count("✗") == len(missed)
     assert "1,180,232 × 346" in text
@@ -204,3 +233,4 @@ def test_a_part_is_measured_again_only_when_asked_failed_or_old(tmp_path, monkey
 def test_the_targets_are_those_of_the_project():
     assert (targets.SIZE_SECONDS, targets.SIZE_MEMORY, targets.SIZE_ERROR) == (300.0, 8.0, 2.0)
     assert (targets.SIZE_PASS, targets.SIZE_BUDGET, targets.SIZE_SVD) == (4.0, 4.0, 1.0)
+    assert (targets.SIZE_LONG_SECONDS, targets.SIZE_LONG_ERROR) == (600.0, 1.05)

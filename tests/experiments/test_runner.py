@@ -272,7 +272,7 @@ def test_spread_points_are_spread():
 
 def test_time_left_is_a_share_of_the_work():
     told = []
-    clock = runner._Clock(2, {}, [cell(), cell("ds")], None, told.append)
+    clock = runner.Clock(2, {}, [cell(), cell("ds")], None, told.append)
     clock.finish(cell(), {"x": 1})
     clock.finish(cell("ds"), {"error": "no"})
     assert told[0].left is None

@@ -35,6 +35,9 @@ def run(words: Sequence[str]) -> int:
     parser.add_argument("--out", default="experiments-output", metavar="DIR", help="[default: experiments-output]")
     parser.add_argument("--quick", action="store_true", help="little of everything: minutes for all")
     parser.add_argument("--jobs", type=int, metavar="N", help="cells at a time [default: one a core]")
+    parser.add_argument(
+        "--cluster", metavar="ADDRESS", help="on the workers of a dask cluster, such as tcp://host:8786"
+    )
     parser.add_argument("--methods", metavar="M,...", help="only these methods")
     parser.add_argument("--sequences", metavar="S,...", help="only these sequences, where an experiment can choose")
     parser.add_argument("--page", metavar="FILE", help=f"{ALL}: the Markdown page, its pictures beside it")
@@ -42,6 +45,8 @@ def run(words: Sequence[str]) -> int:
     names = _names(given.name)
     if given.jobs is not None and given.jobs < 1:
         raise OptionError(f"option '--jobs' must be at least 1, received {given.jobs}")
+    if given.cluster is not None and given.jobs is not None:
+        raise OptionError("option '--jobs' is for this machine alone: a cluster takes a cell for each of its threads")
     if given.page is not None and given.name != ALL:
         raise OptionError(f"option '--page' belongs to 'nrsfm experiment {ALL}', received '{given.name}'")
 
@@ -54,6 +59,7 @@ def run(words: Sequence[str]) -> int:
         jobs=given.jobs,
         methods=_words(given.methods, "--methods"),
         sequences=_words(given.sequences, "--sequences"),
+        cluster=given.cluster,
     )
     make_scope(settings)  # unknown names are found before anything is computed
     if settings.root is None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nrsfm.checkpoints import forget
 from nrsfm.cli.arguments import Parser, add_options, flag_of, given_options
 from nrsfm.cli.inputs import Inputs
 from nrsfm.cli.outputs import Stages, limited_threads, log_to, versions
@@ -186,6 +187,8 @@ def run(verb: str, job: Job, load: Callable[[Report], Inputs]) -> int:
             warnings += _draw(folder, inputs, result, found, stages, log)
         stages.close()
         log.info("done in %.2f s", time.perf_counter() - began)
+    if job.options.get("checkpoint"):
+        forget(job.options["checkpoint"])
     if not job.quiet:
         print(summary(result, found, stages.seconds, warnings, job.out))
     return 0

@@ -29,6 +29,7 @@ def summary(
         *before,
         ("size", f"{result.n_frames} frames, {result.n_points} points"),
         ("method", _method(result)),
+        ("resumed", ", ".join(result.diagnostics.get("taken_from_checkpoint", []))),
         ("tracks", repair_text(result)),
         ("cameras", _cameras(result.diagnostics.get("cameras", {}))),
         ("mirror", mirror_text(result.diagnostics)),

@@ -23,7 +23,10 @@ CELLS = "cells"
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """What a run was asked for; ``root`` is the folder of data sets or ``None`` for built-in sequences alone."""
+    """What a run was asked for; ``root`` is the folder of data sets or ``None`` for built-in sequences alone.
+
+    ``cluster``: the address of a dask scheduler whose workers compute the cells, or ``None`` for this machine.
+    """
 
     out: Path
     root: Path | None = None
@@ -32,6 +35,7 @@ class Settings:
     methods: tuple[str, ...] | None = None
     sequences: tuple[str, ...] | None = None
     limits: Limits = dataclasses.field(default_factory=Limits)
+    cluster: str | None = None
 
     @property
     def processes(self) -> int:
@@ -99,7 +103,15 @@ def run_experiment(experiment: Experiment, settings: Settings, tell: Tell = lamb
     """Compute what is missing, draw, judge and write."""
     cells = plan(experiment, make_scope(settings))
     store = Store(settings.out / CELLS, settings.root)
-    records = run_cells(cells, store, settings.root, jobs=settings.jobs, limits=settings.limits, tell=tell)
+    records = run_cells(
+        cells,
+        store,
+        settings.root,
+        jobs=settings.jobs,
+        limits=settings.limits,
+        tell=tell,
+        cluster=settings.cluster,
+    )
     return write(experiment, cells, records, settings, store)
 
 
@@ -181,6 +193,7 @@ def configuration(experiment: Experiment, cells: Sequence[Cell], settings: Setti
         "methods": sorted({cell.method for cell in cells}),
         "processes": settings.processes,
         "threads_each": max(1, cores() // settings.processes),
+        "cluster": settings.cluster,
         "limits": dataclasses.asdict(settings.limits),
         "machine": machine(),
         "data": {

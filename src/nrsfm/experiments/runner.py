@@ -56,13 +56,19 @@ def run_cells(
     root: Path | None,
     *,
     jobs: int | None = None,
+    threads: int | None = None,
     limits: Limits | None = None,
     tell: Tell = lambda progress: None,
+    cluster: str | None = None,
 ) -> dict[str, Record]:
     """Return the record of every cell by its key; what is kept is not computed again.
 
     ``jobs``: processes (default: one a core), each with an equal share of the cores as threads; cells that have to
-    run alone run one by one, after the others, with all cores. Interrupted in any way, what is finished stays kept.
+    run alone run one by one, after the others, with all cores. ``threads`` of each, if not that share. ``cluster``: the
+    address of a dask scheduler whose workers take the place of the processes; what has to run alone still runs here.
+    Interrupted in any way, what is finished stays kept.
+
+    Raises ``ClusterError`` where a cluster cannot be reached or has no workers.
     """
     wanted = list({cell.key: cell for cell in cells}.values())
     found: dict[str, Record] = {}
@@ -75,14 +81,22 @@ def run_cells(
             found[cell.key] = record
     together = [cell for cell in missing if not cell.alone]
     alone = [cell for cell in missing if cell.alone]
-    clock = _Clock(len(wanted), found, missing, root, tell)
+    clock = Clock(len(wanted), found, missing, root, tell)
+    limits = limits or Limits()
+    if cluster is not None and together:
+        from nrsfm.experiments.remote import Sweep
+        from nrsfm.streaming.cluster import connected
+
+        with connected(cluster) as client:
+            Sweep(together, store, root, client, limits, clock).run()
+        together = []
     for some, processes in ((together, jobs or cores()), (alone, 1)):
         if some:
-            _Pool(some, store, root, processes, limits or Limits(), clock).run()
+            _Pool(some, store, root, processes, threads or max(1, cores() // processes), limits, clock).run()
     return {cell.key: clock.records[cell.key] for cell in wanted}
 
 
-class _Clock:
+class Clock:
     """Counts what is finished and says how long the rest may take."""
 
     def __init__(
@@ -90,7 +104,7 @@ class _Clock:
     ) -> None:
         self.records = dict(found)
         self._total, self._tell = total, tell
-        self._weights = {cell.key: _weight(cell, root) for cell in missing}
+        self._weights = {cell.key: weight(cell, root) for cell in missing}
         self._left = sum(self._weights.values())
         self._done = 0.0
         self._start = time.perf_counter()
@@ -98,19 +112,21 @@ class _Clock:
         self.tell()
 
     def finish(self, cell: Cell, record: Record) -> None:
+        """A cell has its record."""
         self.records[cell.key] = record
         self._done += self._weights[cell.key]
         self._left -= self._weights[cell.key]
         self.tell(cell, record)
 
     def tell(self, cell: Cell | None = None, record: Record | None = None) -> None:
+        """Say how far the run is."""
         passed = time.perf_counter() - self._start
         left = passed / self._done * self._left if self._done else None
         failed = sum("error" in kept for kept in self.records.values())
         self._tell(Progress(len(self.records), self._total, failed, left, self.running, cell, record))
 
 
-def _weight(cell: Cell, root: Path | None) -> float:
+def weight(cell: Cell, root: Path | None) -> float:
     """About how long a cell takes beside others."""
     frames, points = sequences.size(cell.data, root)
     return 1.0 + frames * points**0.5 / 1000.0
@@ -120,15 +136,22 @@ class _Pool:
     """The processes of one run and what is left for them to do."""
 
     def __init__(
-        self, cells: list[Cell], store: Store, root: Path | None, processes: int, limits: Limits, clock: _Clock
+        self,
+        cells: list[Cell],
+        store: Store,
+        root: Path | None,
+        processes: int,
+        threads: int,
+        limits: Limits,
+        clock: Clock,
     ) -> None:
         self._store, self._root, self._limits, self._clock = store, root, limits, clock
-        self._processes = processes
+        self._processes, self._threads = processes, threads
         self._waiting: dict[Data, collections.deque[Cell]] = {}
         # The longest first, so that all processes end at about the same time.
-        for cell in sorted(cells, key=lambda cell: -_weight(cell, root)):
+        for cell in sorted(cells, key=lambda cell: -weight(cell, root)):
             self._waiting.setdefault(cell.data, collections.deque()).append(cell)
-        self._cameras = {d: _readable(store.cameras_path(d)) for d in self._waiting if self._needs_cameras(d)}
+        self._cameras = {d: readable(store.cameras_path(d)) for d in self._waiting if self._needs_cameras(d)}
         self._workers: list[Process] = []
         self._selector = selectors.DefaultSelector()
 
@@ -159,7 +182,7 @@ class _Pool:
             if not worker.busy and not self._employ(worker):
                 self._dismiss(worker)
         while len(self._workers) < self._processes and self._choose(None) is not None:
-            worker = Process(self._store.folder, self._root, max(1, cores() // self._processes))
+            worker = Process(self._store.folder, self._root, self._threads)
             self._workers.append(worker)
             self._selector.register(worker.answers, selectors.EVENT_READ, worker)
             self._employ(worker)
@@ -272,7 +295,7 @@ class _Pool:
         worker.end()
 
 
-def _readable(path: Path) -> bool:
+def readable(path: Path) -> bool:
     """Whether cameras are kept, and whole."""
     try:
         # An open file: numpy does not close one that it opened itself and cannot read.

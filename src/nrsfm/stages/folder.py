@@ -21,6 +21,7 @@ from typing import Any
 
 from nrsfm.errors import FileError
 from nrsfm.files.atomic import atomic_file
+from nrsfm.files.locks import alone
 from nrsfm.progress import Report, silent
 from nrsfm.stages.identity import identity, is_same, plain
 
@@ -222,7 +223,7 @@ def open_stages(
     except OSError as error:
         raise FileError(f"cannot write folder '{path}': {error.strerror or error}") from error
     try:
-        with _alone(target, path):
+        with alone(target, path):
             folder = StageFolder(target, verb, version)
             folder.clean()
             try:
@@ -251,27 +252,6 @@ def _make(target: Path) -> list[Path]:
                 new.rmdir()
         raise
     return made
-
-
-@contextlib.contextmanager
-def _alone(target: Path, path: str | os.PathLike[str]) -> Iterator[None]:
-    """Hold the folder's lock, where the system has such; it goes with the process, however that ends."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        yield
-        return
-    handle = os.open(target, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise FileError(f"cannot use folder '{path}': another process is working in it") from None
-        except OSError:  # a file system without locks
-            pass
-        yield
-    finally:
-        os.close(handle)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -5,8 +5,13 @@ matrices, labels side by side, or shapes written to their place. A shard walks t
 shard returns does not grow with its points, but for labels and a sample; so shards may be anywhere.
 
 1. :func:`gram_of_shard`: sums, Gram matrix and a sample of the tracks.
-2. :func:`cells_of_shard`: label of each point, and the Gram matrix of each cell.
+2. :func:`cells_of_shard`: label of each point, sums and the Gram matrix of each cell.
 3. :func:`expand_shard`: shapes, and the deviation of depth, from the virtual points.
+
+Tracks in memory, whose sample can be had first, go without the first: their Gram matrix is the sum of the cells'.
+
+Within a pass a point is a row, x and y of a frame side by side: points are then sorted by moving whole rows, and a
+block is turned by moving whole pairs of coordinates.
 """
 
 from __future__ import annotations
@@ -22,9 +27,58 @@ from nrsfm.streaming.readers import Reader
 from nrsfm.streaming.targets import Writer
 
 _NEAR = 30.0  # spreads that tracks may be away from zero to be centred in float32
+_TURNED = 512  # points whose shapes are turned at once: they stay in cache
 
 Shard = tuple[int, int]
 """First point, and the one after the last."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """How tracks are centred and scaled: ``translations`` (F, 2) and ``unit``.
+
+    float64 is centred in float64. In float32, whose rounding is that of float32 tracks, digits are lost only where
+    tracks are much farther from zero than from each other, and then the difference is taken in float64 first.
+    """
+
+    translations: np.ndarray
+    unit: float
+
+    def working_type(self, dtype: np.dtype) -> np.dtype:
+        """In which tracks of a type are summed up: float32 tracks stay float32."""
+        return np.dtype(np.float32 if dtype == np.float32 and self._near else np.float64)
+
+    @property
+    def _near(self) -> bool:
+        return float(np.abs(self.translations).max()) <= _NEAR * self.unit
+
+    def rounded(self, dtype: np.dtype) -> Frame:
+        """Its translations as numbers of a type: what is centred in that type is then centred exactly about them."""
+        return Frame(self.translations.astype(dtype).astype(np.float64), self.unit)
+
+    def rows(self, block: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Centred tracks of a block (F, n, 2), one row a point, into the first n rows of ``out`` (m, 2F); no unit."""
+        kind = np.result_type(out.dtype, np.complex64)
+        pairs = _pairs(block).T
+        near = out.dtype == np.float32 and block.dtype == out.dtype and self._near
+        offset = np.ascontiguousarray(self.translations, dtype=np.float64).view(np.complex128)[:, 0]
+        rows = out[: block.shape[1]]
+        np.subtract(pairs, offset.astype(kind) if near else offset, out=rows.view(kind), casting="same_kind")
+        return rows
+
+
+def picked(points: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Some of the points (F, P, 2) in memory, (F, n, 2): pairs of coordinates are moved as one."""
+    if points.dtype not in (np.float32, np.float64) or points.strides[2] != points.itemsize:
+        return points[:, which]
+    return np.take(_pairs(points), which, axis=1).view(points.dtype).reshape(len(points), -1, 2)
+
+
+def _pairs(block: np.ndarray) -> np.ndarray:
+    """Coordinates (F, n, 2) as (F, n) complex numbers: what is moved together."""
+    if block.dtype not in (np.float32, np.float64) or block.strides[2] != block.itemsize:
+        block = np.ascontiguousarray(block, dtype=np.result_type(block.dtype, np.float32))
+    return block.view(np.result_type(block.dtype, np.complex64))[:, :, 0]
 
 
 @dataclass(frozen=True)
@@ -47,6 +101,8 @@ def gram_of_shard(
     """First pass: tracks about ``offset`` (F, 2); ``wanted`` are sorted indices of the points of the sample."""
     frames = reader.shape[0]
     total, gram = np.zeros(2 * frames), np.zeros((2 * frames, 2 * frames))
+    frame = Frame(offset, 1.0)
+    room = np.empty((min(plan.part, shard[1] - shard[0]), 2 * frames))
     sample = []
     for start, stop in plan.blocks(*shard):
         block = reader.read(start, stop)
@@ -54,9 +110,9 @@ def gram_of_shard(
         if len(inside):
             sample.append(np.array(block[:, inside - start]))
         for first in range(0, stop - start, plan.part):
-            rows = _rows(block[:, first : first + plan.part], offset, 1.0, np.dtype(np.float64))
-            total += rows.sum(axis=1)
-            gram += rows @ rows.T
+            rows = frame.rows(block[:, first : first + plan.part], room)
+            total += rows.sum(axis=0)
+            gram += rows.T @ rows
         _tell(told, stop - start)
     whole = np.concatenate(sample, axis=1) if sample else np.empty((frames, 0, 2), dtype=reader.dtype)
     return GramOfShard(total, gram, whole)
@@ -64,23 +120,20 @@ def gram_of_shard(
 
 @dataclass(frozen=True)
 class CellsOfShard:
-    """``labels`` (n,) of the shard's points, ``sizes`` (K,) and ``grams`` (K, 2F, 2F) of its part of the cells."""
+    """``labels`` (n,) of the shard's points; ``sizes`` (K,), ``totals`` (K, 2F), ``grams`` (K, 2F, 2F) of its cells.
+
+    Sums are about the frame's translations, in the tracks' unit.
+    """
 
     labels: np.ndarray
     sizes: np.ndarray
+    totals: np.ndarray
     grams: np.ndarray
 
-
-@dataclass(frozen=True)
-class Frame:
-    """How tracks are centred and scaled: ``translations`` (F, 2) and ``unit``."""
-
-    translations: np.ndarray
-    unit: float
-
-    def rows(self, block: np.ndarray, dtype: np.dtype) -> np.ndarray:
-        """Columns of the normalised W (2F, n) of a block (F, n, 2)."""
-        return _rows(block, self.translations, self.unit, dtype)
+    def plus(self, other: CellsOfShard) -> CellsOfShard:
+        """Sums of both; the labels stay those of the first, whose Gram matrices change in place."""
+        self.grams.__iadd__(other.grams)
+        return CellsOfShard(self.labels, self.sizes + other.sizes, self.totals + other.totals, self.grams)
 
 
 def cells_of_shard(
@@ -93,23 +146,46 @@ def cells_of_shard(
     shard: Shard,
 ) -> CellsOfShard:
     """Second pass: each point to its nearest centre (K, q) in the coordinates along ``directions`` (2F, q)."""
-    rows_count, cells = 2 * reader.shape[0], len(centres)
+    count, cells = 2 * reader.shape[0], len(centres)
     labels = np.empty(shard[1] - shard[0], dtype=label_type(cells))
-    grams = np.zeros((cells, rows_count, rows_count))
-    sizes = np.einsum("ij,ij->i", centres, centres)
+    grams, totals = np.zeros((cells, count, count)), np.zeros((cells, count))
+    gram = np.empty((count, count))
+    room = np.empty((2, min(plan.part, len(labels)), count), dtype=frame.working_type(reader.dtype))
+    nearest = _Nearest(directions / frame.unit, centres)
     for start, stop in plan.blocks(*shard):
         block = reader.read(start, stop)
         for first in range(0, stop - start, plan.part):
-            rows = frame.rows(block[:, first : first + plan.part], np.dtype(np.float64))
-            # In the precision of the sample, from which the centres were learnt.
-            coordinates = (directions.T @ rows).astype(np.float32)
-            own = np.argmin(sizes - 2.0 * (coordinates.T @ centres.T), axis=1)
+            rows = frame.rows(block[:, first : first + plan.part], room[0])
+            own = nearest(rows)
             place = start - shard[0] + first
             labels[place : place + len(own)] = own
-            for k, part in _by_cell(rows, own, cells):
-                grams[k] += part @ part.T
+            order, edges = _order(labels[place : place + len(own)], cells)
+            ordered = np.take(rows, order, axis=0, out=room[1, : len(own)], mode="clip")
+            for k in np.flatnonzero(np.diff(edges)):
+                part = ordered[edges[k] : edges[k + 1]].astype(np.float64)
+                np.matmul(part.T, part, out=gram)
+                grams[k] += gram
+                totals[k] += np.ones(len(part)) @ part  # four times as fast as sum()
         _tell(told, stop - start)
-    return CellsOfShard(labels, np.bincount(labels, minlength=cells), grams)
+    return CellsOfShard(labels, np.bincount(labels, minlength=cells), totals, grams)
+
+
+class _Nearest:
+    """The nearest of the centres (K, q) to rows (n, 2F) along directions (2F, q).
+
+    In the precision of the sample, from which the centres were learnt.
+    """
+
+    def __init__(self, directions: np.ndarray, centres: np.ndarray) -> None:
+        self._directions = directions
+        centres = centres.astype(np.float32)
+        sizes = np.einsum("ij,ij->i", centres, centres)
+        self._scores = np.concatenate([-2.0 * centres, sizes[:, None]], axis=1).T
+
+    def __call__(self, rows: np.ndarray) -> np.ndarray:
+        coordinates = np.ones((len(rows), len(self._scores)), dtype=np.float32)
+        coordinates[:, :-1] = rows @ self._directions.astype(rows.dtype)
+        return np.asarray(np.argmin(coordinates @ self._scores, axis=1))
 
 
 @dataclass(frozen=True)
@@ -156,36 +232,39 @@ def expand_shard(
     for σ.
     """
     frames = reader.shape[0]
-    maps, backs = _short(expansion, dtype)
+    maps, backs = _short(expansion, frame.unit, dtype)
+    size = min(plan.part, shard[1] - shard[0])
+    room = np.empty((2, size, 2 * frames), dtype=dtype)
+    made = np.empty((size, 3 * frames), dtype=dtype)
     for start, stop in plan.blocks(*shard):
         block = reader.read(start, stop)
         for first in range(0, stop - start, plan.part):
             some = block[:, first : first + plan.part]
-            rows = frame.rows(some, dtype)
+            rows = frame.rows(some, room[0])
             place = start + first
-            own = labels[place : place + some.shape[1]]
-            order, edges = _order(own, len(maps))
-            rows = np.take(rows, order, axis=1)
-            made = np.empty((3 * frames, some.shape[1]), dtype=dtype)
+            order, edges = _order(labels[place : place + len(rows)], len(maps))
+            rows = np.take(rows, order, axis=0, out=room[1, : len(rows)], mode="clip")
             for k in np.flatnonzero(np.diff(edges)):
                 part = slice(edges[k], edges[k + 1])
-                inner = rows[:, part] if backs[k] is None else backs[k] @ rows[:, part]
-                np.matmul(maps[k], inner, out=made[:, part])
-            writers["shapes"].write(place, _in_place(made, order))
+                back = backs[k]
+                np.matmul(rows[part] if back is None else rows[part] @ back, maps[k], out=made[part])
+            shapes = writers["shapes"].room(place, len(rows))
+            _to_frames(made, order, shapes)
+            writers["shapes"].write(place, shapes)
             if deviations is not None:
-                writers["depth_deviation"].write(place, _deviation(deviations, rows, order, edges))
+                writers["depth_deviation"].write(place, _deviation(deviations, rows, frame.unit, order, edges))
         _tell(told, stop - start)
 
 
-def _deviation(model: Deviations, rows: np.ndarray, order: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Deviations (F, n) of points whose tracks ``rows`` (2F, n) are sorted by cell."""
+def _deviation(model: Deviations, rows: np.ndarray, unit: float, order: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Deviations (F, n) of points whose tracks ``rows`` (n, 2F) are sorted by cell and not yet divided by the unit."""
     forms = np.zeros((2, len(order)))
     for i, fields in enumerate((model.first, model.deform)):
         if fields is None:
             continue
         for k in np.flatnonzero(np.diff(edges)):
             part = slice(edges[k], edges[k + 1])
-            forms[i, part] = np.sum((fields[k].astype(rows.dtype) @ rows[:, part]) ** 2, axis=0)
+            forms[i, part] = np.sum((rows[part] @ (fields[k].T / unit).astype(rows.dtype)) ** 2, axis=1)
     own = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
     found, _ = model.of(forms[0], forms[1], own)
     out = np.empty_like(found)
@@ -193,26 +272,31 @@ def _deviation(model: Deviations, rows: np.ndarray, order: np.ndarray, edges: np
     return out
 
 
-def _in_place(sorted_shapes: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Shapes (3F, n) sorted by cell as (F, n, 3) in the order of the points."""
+def _to_frames(made: np.ndarray, order: np.ndarray, out: np.ndarray) -> None:
+    """Shapes (m, 3F), a row a point, sorted by cell, to ``out`` (F, n, 3) in the order of the points."""
+    count = len(order)
     back = np.empty_like(order)
-    back[order] = np.arange(len(order))
-    made = np.take(sorted_shapes, back, axis=1).reshape(-1, 3, len(order))
-    out = np.empty((len(made), len(order), 3), dtype=made.dtype)
-    for axis in range(3):
-        out[:, :, axis] = made[:, axis]
-    return out
+    back[order] = np.arange(count)
+    coordinates = np.dtype((np.void, 3 * made.itemsize))  # the three of a point and frame are moved as one
+    turned, rows = out.view(coordinates)[:, :, 0], made.view(coordinates)
+    for start in range(0, count, _TURNED):
+        part = slice(start, start + _TURNED)
+        turned[:, part] = rows[back[part]].T
 
 
-def _short(expansion: Expansion, dtype: np.dtype) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
-    """For each cell the product of both maps where that is the fewer operations, and the precision of the result."""
+def _short(expansion: Expansion, unit: float, dtype: np.dtype) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
+    """For each cell the maps (r, 3F) and (2F, r) of rows, or their product where that is the fewer operations.
+
+    In the precision of the result; the rows are still to be divided by the unit.
+    """
     maps: list[np.ndarray] = []
     backs: list[np.ndarray | None] = []
     for left, back in zip(expansion.maps, expansion.backs, strict=True):
         rank, rows = back.shape
+        back = back / unit
         joined = rank * (rows + len(left)) > rows * len(left)
-        maps.append((left @ back if joined else left).astype(dtype))
-        backs.append(None if joined else back.astype(dtype))
+        maps.append(np.ascontiguousarray((left @ back if joined else left).T, dtype=dtype))
+        backs.append(None if joined else np.ascontiguousarray(back.T, dtype=dtype))
     return maps, backs
 
 
@@ -221,36 +305,11 @@ def label_type(cells: int) -> np.dtype:
     return np.dtype(np.uint8 if cells <= 256 else np.int32)
 
 
-def _rows(block: np.ndarray, offset: np.ndarray, unit: float, dtype: np.dtype) -> np.ndarray:
-    """(F, n, 2) as a new array (2F, n), less an offset (F, 2), in a unit.
-
-    float64 is subtracted in float64. In float32, whose rounding is that of float32 tracks, digits are lost only where
-    tracks are much farther from zero than from each other, and then the difference is taken in float64 first.
-    """
-    frames, count, _ = block.shape
-    rows = np.empty((2 * frames, count), dtype=dtype)
-    turned = rows.reshape(frames, 2, count)
-    near = dtype == np.float32 and block.dtype == dtype and float(np.abs(offset).max()) <= _NEAR * unit
-    offset = offset.astype(dtype) if near else offset
-    for axis in range(2):  # one coordinate at a time: three times as fast as both at once
-        np.subtract(block[:, :, axis], offset[:, axis, None], out=turned[:, axis], casting="same_kind")
-    if unit != 1.0:
-        rows *= dtype.type(1.0 / unit)
-    return rows
-
-
 def _order(labels: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Points sorted by cell, and where each cell begins."""
     order = np.argsort(labels, kind="stable")
     edges = np.concatenate([[0], np.cumsum(np.bincount(labels, minlength=cells))])
     return order, edges
-
-
-def _by_cell(rows: np.ndarray, labels: np.ndarray, cells: int) -> list[tuple[int, np.ndarray]]:
-    """The columns of each cell that has some."""
-    order, edges = _order(labels, cells)
-    sorted_rows = np.take(rows, order, axis=1)
-    return [(int(k), sorted_rows[:, edges[k] : edges[k + 1]]) for k in np.flatnonzero(np.diff(edges))]
 
 
 def _tell(told: Callable[[int], None] | None, points: int) -> None:

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import mmap
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from nrsfm.streaming.sending import opening, place_of
 from nrsfm.streaming.stored import StoredPoints
 
 Points = TypeVar("Points", np.ndarray, np.memmap, StoredPoints)
@@ -107,6 +109,9 @@ class MapReader(_OfPoints[np.memmap]):
         release(self.points)
         return out
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _map_reader, opening(self.points)
+
 
 @dataclass(frozen=True)
 class StoredReader(_OfPoints[StoredPoints]):
@@ -121,11 +126,15 @@ class WrittenMap(np.memmap):
     """A read-only map of a file that this process has just written: what is in it need not be checked again."""
 
 
+def _map_reader(function: Callable[..., Any], arguments: tuple[Any, ...]) -> MapReader:
+    return MapReader(function(*arguments))
+
+
 def reader_of(points: np.ndarray | StoredPoints) -> Reader:
     """The reader that suits an array."""
     if isinstance(points, StoredPoints):
         return StoredReader(points)
-    place = _place(points)
+    place = place_of(points)
     if place is not None and points.flags.c_contiguous:
         return FileReader(place[0], place[1], points.shape, points.dtype)
     if isinstance(points, np.memmap) and is_mapped(points):
@@ -144,20 +153,6 @@ def release(array: Any) -> None:
         array = array.base  # a plain view of a map
     if is_mapped(array) and hasattr(mmap, "MADV_DONTNEED"):
         array._mmap.madvise(mmap.MADV_DONTNEED)
-
-
-def _place(points: np.ndarray) -> tuple[str, int] | None:
-    """Path and byte of a mapped array's first number, or ``None`` where it is not known."""
-    if not isinstance(points, np.memmap) or not is_mapped(points) or points.filename is None:
-        return None
-    mapped: Any = points._mmap  # type: ignore[attr-defined]
-    first = np.frombuffer(mapped, dtype=np.uint8, count=1).__array_interface__["data"][0]
-    within = int(points.__array_interface__["data"][0]) - int(first)
-    start = points.offset - points.offset % mmap.ALLOCATIONGRANULARITY
-    path = os.fspath(points.filename)
-    if not 0 <= within < len(mapped) or not os.path.isfile(path):
-        return None
-    return str(path), start + within
 
 
 def _read_exactly(handle: int, row: np.ndarray, offset: int, path: str) -> None:

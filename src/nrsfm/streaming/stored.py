@@ -1,14 +1,17 @@
 """Tracks that stay in their file: an HDF5 dataset, a zarr array, a mapped file of another type of number.
 
-Nothing is read until a block is asked for. What comes out is always (F, n, 2) float32 or float64, whatever the layout
-and the type in the file.
+Nothing is read until a block is asked for, and another process is sent the path of the file alone. What comes out is
+always (F, n, 2) float32 or float64, whatever the layout and the type in the file.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
+from nrsfm.streaming.sending import opening
 
 LAYOUTS = ("frame-first", "point-first", "matrix")
 
@@ -16,6 +19,10 @@ LAYOUTS = ("frame-first", "point-first", "matrix")
 def is_stored(value: Any) -> bool:
     """Whether this is an array of a file library, which is read when it is sliced: h5py's or zarr's."""
     return type(value).__module__.partition(".")[0] in ("h5py", "zarr") and hasattr(value, "shape")
+
+
+def _opened(function: Callable[..., Any], arguments: tuple[Any, ...], layout: str) -> StoredPoints:
+    return StoredPoints(function(*arguments), layout)
 
 
 class StoredPoints:
@@ -86,6 +93,9 @@ class StoredPoints:
             out[:, order[first:last]] = block[:, wanted[first:last] - start]
             first = last
         return out
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _opened, (*opening(self.array), self.layout)
 
     def __len__(self) -> int:
         return self.shape[0]

@@ -1,20 +1,30 @@
 """Complete tracks of any size, read in blocks: what an affine reconstruction needs of the points, and the way back.
 
-The file is read three times: for the Gram matrix, for the cells (one cell needs no second time), for the shapes. The
+A file is read three times: for the Gram matrix, for the cells (one cell needs no second time), for the shapes. The
 centres of the cells are learnt from a random sample that the first pass brings along; cells of a sample of 20,000 are
-as good as those of all points (docs/decisions.md has the numbers).
+as good as those of all points (docs/decisions.md has the numbers). Of tracks in memory the sample is taken first, so
+that the cells' Gram matrices come from the first pass, and that of all points is their sum.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from nrsfm.compression import CompressedTracks, Measurements, compress_grams, in_range, out_of_range
+from nrsfm.clustering import kmeans_centres
+from nrsfm.compression import (
+    CompressedTracks,
+    Measurements,
+    compress_grams,
+    in_range,
+    out_of_range,
+    spectrum,
+    track_coordinates,
+)
 from nrsfm.errors import InputError
 from nrsfm.streaming.passes import (
     Deviations,
@@ -23,10 +33,10 @@ from nrsfm.streaming.passes import (
     cells_of_shard,
     expand_shard,
     gram_of_shard,
-    label_type,
+    picked,
 )
 from nrsfm.streaming.plan import Plan, plan
-from nrsfm.streaming.readers import reader_of
+from nrsfm.streaming.readers import ArrayReader, reader_of
 from nrsfm.streaming.runners import Runner, Threads
 from nrsfm.streaming.stored import StoredPoints
 from nrsfm.streaming.targets import Target
@@ -34,6 +44,7 @@ from nrsfm.streaming.targets import Target
 SAMPLE = 50_000
 """Points that teach the centres of cells, the noise, and what is asked about outliers and perspective."""
 
+_DIRECTIONS = 10  # leading directions of the sample in which its cells are found
 _OFFSET = 4096  # points whose mean is the provisional offset
 _SHARE = 8  # the sample takes at most this part of the memory for blocks
 
@@ -51,6 +62,8 @@ class Stream:
         Bytes for blocks, Gram matrices of cells and the sample; ``None`` for a default of half a gigabyte.
     runner
         Who works on the shards; the threads of this process by default.
+    cells
+        Cells of points that are wanted.
     """
 
     def __init__(
@@ -59,28 +72,38 @@ class Stream:
         target: Target | None = None,
         room: int | None = None,
         runner: Runner | None = None,
+        cells: int = 1,
     ) -> None:
         self.points = points
         self.reader = reader_of(points)
         self.target = Target() if target is None else target
         self.room = room
         self.runner = Threads() if runner is None else runner
+        self.cells = cells
         self.frames, self.count, _ = self.reader.shape
-        self._measured: tuple[int, Measurements] | None = None
+        self._seed = 0
+        self._measured: Measurements | None = None
+        self._joined: _Cells | None = None  # of all points, where they came with the first pass
 
-    def measure(self, seed: int, told: Callable[[float], None] | None = None) -> Measurements:
+    def measure(
+        self, seed: int, told: Callable[[float], None] | None = None, kept: Callable[..., Any] | None = None
+    ) -> Measurements:
         """First pass: :func:`nrsfm.compression.measure` for what does not fit into memory.
 
-        The points of the measurements are those of the sample; ``total`` is P.
+        The points of the measurements are those of the sample; ``total`` is P. ``kept``: that of a checkpoint
+        (:class:`nrsfm.checkpoints.Checkpoint`), for what is read from a file.
 
         Raises
         ------
         InputError
             A coordinate is not finite, or the points do not spread.
         """
-        if self._measured is None or self._measured[0] != seed:  # asked for twice, read once
-            self._measured = seed, self._measure(seed, told)
-        return self._measured[1]
+        if self._measured is None or self._seed != seed:  # asked for twice, read once
+            self._seed, self._joined = seed, None
+            from_file = kept is not None and not isinstance(self.reader, ArrayReader)
+            work = functools.partial(self._measure, seed, told)
+            self._measured = kept("reading tracks", work) if kept is not None and from_file else work()
+        return self._measured
 
     def _measure(self, seed: int, told: Callable[[float], None] | None) -> Measurements:
         size = min(self.count, SAMPLE)
@@ -90,57 +113,90 @@ class Stream:
         wanted = np.arange(self.count)
         if size < self.count:
             wanted = np.sort(rng.choice(self.count, size=size, replace=False))
+        if isinstance(self.reader, ArrayReader) and self.cells > 1 and size >= self.cells:
+            return self._measure_with_cells(wanted, told)
         walk = self._plan(1)
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
             offset = self.reader.read(0, min(self.count, _OFFSET)).astype(np.float64).mean(axis=1)
-            work = functools.partial(gram_of_shard, self.reader, walk, offset, wanted, self._telling(told))
-            parts = list(self.runner.map(work, walk.shards(self.count)))
-            total = np.sum([part.total for part in parts], axis=0)
-            gram = functools.reduce(np.add, (part.gram for part in parts))
-            mean = total / self.count
-            gram -= self.count * np.outer(mean, mean)
-            unit = float(np.sqrt(max(np.trace(gram), 0.0) / (2 * self.frames * self.count)))
+            work = functools.partial(gram_of_shard, self.reader, walk, offset, wanted)
+            shards, tell = walk.shards(self.count), self._telling(told)
+            samples, (total, gram) = self.runner.sums(work, shards, "sample", ("total", "gram"), tell)
+        sample = np.concatenate(samples, axis=1)
+        return self._measurements(sample, wanted, offset, total, gram)
+
+    def _measure_with_cells(self, wanted: np.ndarray, told: Callable[[float], None] | None) -> Measurements:
+        """The first pass and the second at once, about the mean and along the directions of a sample."""
+        points = self.reader.read(0, self.count)  # a view
+        sample = picked(points, wanted) if len(wanted) < self.count else points
+        if not np.isfinite(sample).all():
+            self._require_finite(self._plan(1))
+        frame, directions, centres = self._learnt(sample)
+        with np.errstate(over="ignore", invalid="ignore"):
+            cells = self._assigned(frame, directions, centres, told)
+            total, gram = cells.totals.sum(axis=0), cells.grams.sum(axis=0)
+        measured = self._measurements(sample, wanted, frame.translations, total, gram)
+        self._joined = cells.about(total / self.count, measured.unit)
+        return measured
+
+    def _learnt(self, sample: np.ndarray) -> tuple[Frame, np.ndarray, np.ndarray]:
+        """What a sample (F, n, 2) says: frame, leading directions (2F, q), and the cells' centres (K, q) along them."""
+        seen = Stream(sample, room=self.room).measure(0)
+        frame = Frame(seen.translations, seen.unit)
+        directions = spectrum(seen)[1][:, :_DIRECTIONS]
+        rng = np.random.default_rng([self._seed, 5])
+        centres = kmeans_centres(track_coordinates(seen, directions), self.cells, rng)
+        return frame.rounded(frame.working_type(self.reader.dtype)), directions, centres
+
+    def _measurements(
+        self, sample: np.ndarray, wanted: np.ndarray, offset: np.ndarray, total: np.ndarray, gram: np.ndarray
+    ) -> Measurements:
+        """What the sums (2F,) and (2F, 2F) of all tracks about an offset (F, 2) say."""
         if not np.isfinite(total).all():
-            self._require_finite(walk)
+            self._require_finite(self._plan(1))
+        mean = total / self.count
+        gram = gram - self.count * np.outer(mean, mean)
+        unit = float(np.sqrt(max(np.trace(gram), 0.0) / (2 * self.frames * self.count)))
         if not in_range(unit):
             raise out_of_range(unit)
-        sample = np.concatenate([part.sample for part in parts], axis=1)
         translations = offset + mean.reshape(self.frames, 2)
         return Measurements(sample, translations, unit, gram / unit**2, self.count, wanted)
 
     def compress(
         self,
         measured: Measurements,
-        directions: np.ndarray,
-        centres: np.ndarray,
         *,
         noise: float,
         tolerance: float,
         told: Callable[[float], None] | None = None,
     ) -> CompressedTracks:
-        """Second pass: every point to the nearest of the centres (K, q), and :func:`nrsfm.compression.compress`.
+        """Second pass: every point to its cell, if cells did not come with the first; and the factors of the cells.
 
-        ``directions`` (2F, q) are those of the coordinates in which the centres were learnt.
+        As :func:`nrsfm.compression.compress`, with cells that are learnt on the sample.
         """
-        if len(centres) == 1:
+        apply = functools.partial(_map, self.runner.here)
+        if self.cells == 1:
             labels = np.zeros(self.count, dtype=np.uint8)
             return compress_grams(measured, labels, measured.gram[None], noise=noise, tolerance=tolerance)
+        cells = self._joined
+        if cells is None:
+            cells = self._assigned(*self._learnt(measured.points), told)
+            cells = cells.about(cells.totals.sum(axis=0) / self.count, measured.unit)
+        return compress_grams(measured, cells.labels, cells.grams, noise=noise, tolerance=tolerance, apply=apply)
+
+    def _assigned(
+        self, frame: Frame, directions: np.ndarray, centres: np.ndarray, told: Callable[[float], None] | None
+    ) -> _Cells:
+        """The cells of all points; a centre that is nearest to no point has none."""
         walk = self._plan(len(centres))
-        frame = Frame(measured.translations, measured.unit)
-        work = functools.partial(cells_of_shard, self.reader, walk, frame, directions, centres, self._telling(told))
-        grams = np.zeros((len(centres), 2 * self.frames, 2 * self.frames))
-        joined = np.empty(self.count, dtype=label_type(len(centres)))
-        shards = walk.shards(self.count)
-        for (start, stop), part in zip(shards, self.runner.map(work, shards), strict=True):
-            joined[start:stop] = part.labels
-            grams += part.grams
-        sizes = np.bincount(joined, minlength=len(centres))
-        if not sizes.all():  # a centre that is nearest to no point
-            joined = (np.cumsum(sizes > 0) - 1).astype(joined.dtype)[joined]
-            grams = grams[sizes > 0]
-        return compress_grams(
-            measured, joined, grams, noise=noise, tolerance=tolerance, apply=functools.partial(_map, self.runner)
-        )
+        work = functools.partial(cells_of_shard, self.reader, walk, frame, directions, centres)
+        shards, tell = walk.shards(self.count), self._telling(told)
+        parts, (sizes, totals, grams) = self.runner.sums(work, shards, "labels", ("sizes", "totals", "grams"), tell)
+        labels = np.concatenate(parts)
+        used = sizes > 0
+        if used.all():
+            return _Cells(labels, sizes, totals, grams)
+        labels = (np.cumsum(used) - 1).astype(labels.dtype)[labels]
+        return _Cells(labels, sizes[used], totals[used], grams[used])
 
     def expand(
         self,
@@ -171,19 +227,15 @@ class Stream:
                 self.reader,
                 walk,
                 Frame(measured.translations, measured.unit),
-                compressed.labels,
-                way,
-                deviations,
-                writers,
-                np.dtype(dtype),
-                self._telling(told),
+                expansion=way,
+                deviations=deviations,
+                dtype=np.dtype(dtype),
             )
-            for _ in self.runner.map(work, walk.shards(self.count)):
-                pass
+            self.runner.write(work, walk.shards(self.count), compressed.labels, writers, self._telling(told))
             return target.finish()
 
     def _plan(self, cells: int, granule: int = 1) -> Plan:
-        walk = plan(self.frames, self.count, cells, self.runner.workers, self.room)
+        walk = self.runner.planned(plan(self.frames, self.count, cells, self.runner.workers, self.room), self.count)
         if granule == 1:
             return walk
         block = max(granule, walk.block // granule * granule)
@@ -223,5 +275,23 @@ class Stream:
             )
 
 
-def _map(runner: Runner, function: Callable[..., Any], items: Any) -> list[Any]:
-    return list(runner.map(function, items))
+@dataclass(frozen=True)
+class _Cells:
+    """Of all points: ``labels`` (P,); of each cell ``sizes`` (K,), ``totals`` (K, 2F) and ``grams`` (K, 2F, 2F)."""
+
+    labels: np.ndarray
+    sizes: np.ndarray
+    totals: np.ndarray
+    grams: np.ndarray
+
+    def about(self, mean: np.ndarray, unit: float) -> _Cells:
+        """The same of tracks less a mean (2F,), in a unit; the Gram matrices change in place."""
+        for size, total, gram in zip(self.sizes, self.totals, self.grams, strict=True):
+            cross = np.outer(total, mean)
+            gram += size * np.outer(mean, mean) - cross - cross.T
+            gram /= unit**2
+        return _Cells(self.labels, self.sizes, (self.totals - self.sizes[:, None] * mean) / unit, self.grams)
+
+
+def _map(threads: Threads, function: Callable[..., Any], items: Any) -> list[Any]:
+    return list(threads.map(function, items))

@@ -29,6 +29,10 @@ _CHUNK_BYTES = 4 * 2**20  # of a chunk in zarr
 class Writer(Protocol):
     """One array (F, P, ...) that takes blocks of points, also from several threads at once."""
 
+    def room(self, start: int, count: int) -> np.ndarray:
+        """An array (F, count, ...) in C order along its last axes, to be filled and then written at ``start``."""
+        ...
+
     def write(self, start: int, block: np.ndarray) -> None:
         """Put (F, n, ...) in the place of points ``start`` to ``start + n``."""
         ...
@@ -40,9 +44,15 @@ class ArrayWriter:
 
     array: np.ndarray
 
+    def room(self, start: int, count: int) -> np.ndarray:
+        """See :class:`Writer`; the place itself, so that writing it moves nothing."""
+        return self.array[:, start : start + count]
+
     def write(self, start: int, block: np.ndarray) -> None:
         """See :class:`Writer`."""
-        self.array[:, start : start + block.shape[1]] = block
+        place = self.array[:, start : start + block.shape[1]]
+        if block.__array_interface__["data"] != place.__array_interface__["data"]:
+            place[...] = block
 
 
 @dataclass(frozen=True)
@@ -53,6 +63,10 @@ class FileWriter:
     offset: int
     shape: tuple[int, ...]
     dtype: np.dtype
+
+    def room(self, start: int, count: int) -> np.ndarray:
+        """See :class:`Writer`."""
+        return np.empty((self.shape[0], count, *self.shape[2:]), dtype=self.dtype)
 
     def write(self, start: int, block: np.ndarray) -> None:
         """See :class:`Writer`."""
@@ -74,6 +88,10 @@ class ZarrWriter:
     """A zarr array; blocks are whole chunks of it."""
 
     array: Any
+
+    def room(self, start: int, count: int) -> np.ndarray:
+        """See :class:`Writer`."""
+        return np.empty((self.array.shape[0], count, *self.array.shape[2:]), dtype=self.array.dtype)
 
     def write(self, start: int, block: np.ndarray) -> None:
         """See :class:`Writer`."""
