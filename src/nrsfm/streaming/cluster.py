@@ -18,6 +18,7 @@ import math
 import os
 import pickle
 import platform
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -117,6 +118,7 @@ def connected(cluster: str) -> Iterator[Any]:
         return
     distributed = import_distributed()
     try:
+        _knock(str(cluster))
         client = distributed.Client(str(cluster), timeout=_CONNECTING, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:  # a timeout is an OSError
         raise ClusterError(
@@ -128,6 +130,17 @@ def connected(cluster: str) -> Iterator[Any]:
         yield client
     finally:
         client.close()
+
+
+def _knock(address: str) -> None:
+    """Raise ``OSError`` or ``ValueError`` where nobody listens, or nobody can, at the address of a scheduler.
+
+    A client that fails to connect leaves threads behind, and is taken down at a bad time when it is collected.
+    """
+    from distributed.comm.addressing import get_address_host_port
+
+    place: tuple[str, int] = get_address_host_port(address)
+    socket.create_connection(place, timeout=_CONNECTING).close()
 
 
 def import_distributed() -> Any:
