@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from nrsfm.devices import is_on_device, to_host
 from nrsfm.errors import InputError, suggest
 from nrsfm.streaming.readers import release
 
@@ -26,6 +27,8 @@ ALIGNMENTS = ("none", "global", "per-frame", "similarity")
 
 def _shapes(value: Any, name: str) -> np.ndarray:
     value = getattr(value, "shapes", value)
+    if is_on_device(value):
+        value = to_host(value)
     array = value if isinstance(value, np.memmap) else np.asarray(value)  # a map stays one: see release
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: real numbers are needed, received dtype {array.dtype}")

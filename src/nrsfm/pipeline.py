@@ -18,6 +18,7 @@ import numpy as np
 from nrsfm.affine import PipelineOptions, Settings, Stages, reconstruct_affine
 from nrsfm.cameras import CameraOptions, cameras_from_known
 from nrsfm.checkpoints import checkpoint, content_of
+from nrsfm.devices import is_on_device, to_device
 from nrsfm.errors import InputError
 from nrsfm.gauge import GaugeOptions
 from nrsfm.methods import get_method
@@ -76,8 +77,8 @@ def reconstruct(
     Parameters
     ----------
     tracks
-        ``Tracks``, or an array of points (F, P, 2): at least 3 frames and 4 points, any pattern of missing entries
-        that ties the frames together.
+        ``Tracks``, or an array of points (F, P, 2), also of PyTorch or CuPy: at least 3 frames and 4 points, any
+        pattern of missing entries that ties the frames together.
     method
         One of ``nrsfm.method_names()``.
     rotations
@@ -110,6 +111,8 @@ def reconstruct(
         (*STAGE_OPTIONS.values(), solver.Options), options, f"method '{method}'"
     )
     _require(solver, tracks, pipeline)
+    if tracks.on_device:
+        _require_here(pipeline)
     camera = _camera_options(camera, solver, own, ordered=pipeline.ordered)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed must be a whole number, at least 0, received {seed!r}")
@@ -140,7 +143,7 @@ def _reconstruct_in_stages(tracks: Tracks, run: _Run, stages: Stages) -> Reconst
     if may_stream(tracks, run.method, settings):
 
         def by_cells(result: Reconstruction) -> Reconstruction:
-            return _by_cells(tracks.points, result, settings.seed, stages)
+            return _by_cells(tracks.in_memory().points, result, settings.seed, stages)
 
         with runner_of(settings.pipeline.cluster) as runner:
             answer = reconstruct_streamed(
@@ -151,6 +154,9 @@ def _reconstruct_in_stages(tracks: Tracks, run: _Run, stages: Stages) -> Reconst
     if answer is None and settings.pipeline.cluster is not None:
         why = why_whole(tracks, run.method, settings) or "the tracks hold outliers or show perspective"
         warnings.append(f"cluster: {why}: this was worked on as a whole, by this process alone")
+    if answer is None and tracks.on_device:
+        why = why_whole(tracks, run.method, settings) or "the tracks hold outliers or show perspective"
+        warnings.append(f"device: {why}: this was worked on by the host")
     evidence = perspective.get("mirror") or {}
     mirror = dict(result.diagnostics["cameras"].get("mirror") or {})
     if evidence.get("decided"):
@@ -172,7 +178,7 @@ def _reconstruct_in_stages(tracks: Tracks, run: _Run, stages: Stages) -> Reconst
     result = _of_all_points(result, repaired)
     if answer is None and settings.pipeline.shapes_file is not None:
         return _to_file(result, settings.pipeline.shapes_file)
-    return result
+    return _back_to_device(result, tracks.points) if tracks.on_device else result
 
 
 def _in_memory(tracks: Tracks, run: _Run, stages: Stages) -> tuple[Reconstruction, dict[str, Any], Repaired]:
@@ -191,6 +197,14 @@ def _in_memory(tracks: Tracks, run: _Run, stages: Stages) -> tuple[Reconstructio
     if getattr(settings.method, "by_cells", False) and not perspective["undone"]:
         result = _by_cells(points, result, settings.seed, stages)
     return result, perspective, repaired
+
+
+def _back_to_device(result: Reconstruction, points: Any) -> Reconstruction:
+    """The reconstruction with its shapes, and their deviations, where the points are."""
+    if is_on_device(result.shapes):
+        return result
+    deviation = None if result.depth_deviation is None else to_device(result.depth_deviation, points)
+    return replace(result, shapes=to_device(result.shapes, points), depth_deviation=deviation)
 
 
 def _to_file(result: Reconstruction, path: str) -> Reconstruction:
@@ -405,6 +419,14 @@ def _require(method: Method, tracks: Tracks, options: PipelineOptions) -> None:
         )
 
 
+def _require_here(options: PipelineOptions) -> None:
+    """Refuse options that are for files and memory of the host, where tracks are on a device."""
+    for name in ("memory", "shapes_file", "cluster"):
+        value = getattr(options, name)
+        if value is not None:
+            raise InputError(f"{name}: tracks on a device are worked on there, received {name}={value}")
+
+
 def _camera_options(options: CameraOptions, method: Method, own: Any, *, ordered: bool) -> CameraOptions:
     """The camera options with the method's own estimator, and its own K, where none is named."""
     name = options.camera_method or method.camera_method
@@ -441,8 +463,9 @@ def _identity(tracks: Tracks, run: _Run) -> dict[str, Any]:
         name: None if array is None else hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()[:16]
         for name, array in (("cameras", run.known), ("visible", None if tracks.complete else tracks.visible))
     }
+    points = tracks.in_memory().points if tracks.on_device else tracks.points
     options = {f"option {name}": value for name, value in _all_options(run).items() if name not in _ELSEWHERE}
-    return {"version": __version__, "method": run.method.name, "tracks": content_of(tracks.points)} | digests | options
+    return {"version": __version__, "method": run.method.name, "tracks": content_of(points)} | digests | options
 
 
 def _recorded(options: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nrsfm.devices import is_on_device, namespace, to_device, to_host, type_of
 from nrsfm.errors import FileError, InputError
 from nrsfm.streaming.readers import WrittenMap, release
 
@@ -34,7 +35,8 @@ class Reconstruction:
     ----------
     shapes
         (F, P, 3) float32 or float64: the points of each frame in the object frame, in the unit of the tracks. A
-        point is finite in every frame, or NaN in every frame and coordinate; at least 4 points are finite.
+        point is finite in every frame, or NaN in every frame and coordinate; at least 4 points are finite. Of tracks
+        of PyTorch or CuPy an array of theirs, as is ``depth_deviation``; :meth:`on_host` has them in NumPy's.
     rotations
         (F, 3, 3) float64, orthonormal with determinant 1: camera from object; x right, y down, z forward.
     translations
@@ -72,10 +74,12 @@ class Reconstruction:
     depth_deviation: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        shapes = _real(self.shapes, "shapes")
-        if shapes.ndim != 3 or shapes.shape[2] != 3 or shapes.size == 0:
-            raise InputError(f"shapes: shape (frames, points, 3) is needed, received {shapes.shape}")
-        if shapes.dtype not in (np.float32, np.float64):
+        shapes = self.shapes if is_on_device(self.shapes) else _real(self.shapes, "shapes")
+        if shapes.ndim != 3 or shapes.shape[2] != 3 or 0 in shapes.shape:
+            raise InputError(f"shapes: shape (frames, points, 3) is needed, received {tuple(shapes.shape)}")
+        if is_on_device(shapes):
+            type_of(shapes)
+        elif shapes.dtype not in (np.float32, np.float64):
             shapes = shapes.astype(np.float64)
         frames, points = shapes.shape[:2]
         reconstructed = _check_points(shapes)
@@ -100,7 +104,7 @@ class Reconstruction:
             checked["groups"] = groups
         for name, check in (("confidence", _check_confidence), ("depth_deviation", _check_deviation)):
             value = getattr(self, name)
-            if value is not None:
+            if value is not None and not is_on_device(value):  # there it was made along with the shapes
                 array = _of_shape(value, name, (frames, points)).astype(np.float32, copy=False)
                 check(array, reconstructed)
                 checked[name] = array
@@ -111,6 +115,13 @@ class Reconstruction:
             raise InputError(f"method: a name is needed, received {self.method!r}")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+
+    def on_host(self) -> Reconstruction:
+        """The same with NumPy arrays, copied where they are PyTorch's or CuPy's."""
+        if not is_on_device(self.shapes):
+            return self
+        deviation = None if self.depth_deviation is None else to_host(self.depth_deviation)
+        return dataclasses.replace(self, shapes=to_host(self.shapes), depth_deviation=deviation)
 
     @property
     def n_frames(self) -> int:
@@ -125,7 +136,8 @@ class Reconstruction:
     @property
     def reconstructed(self) -> np.ndarray:
         """(P,) bool: the points that have a shape; the others are NaN in every frame."""
-        return np.asarray(np.isfinite(self.shapes[0, :, 0]))
+        first = self.shapes[0, :, 0]
+        return np.asarray(np.isfinite(to_host(first) if is_on_device(first) else first))
 
     @property
     def n_missing(self) -> int:
@@ -138,6 +150,7 @@ class Reconstruction:
 
     def project(self) -> np.ndarray:
         """Return the points as the cameras see them, (F, P, 2), in the unit and dtype of the shapes."""
+        self = self.on_host()
         out = np.empty((self.n_frames, self.n_points, 2), dtype=self.shapes.dtype)
         for f, shape in enumerate(self.shapes):  # frame by frame: no float64 copy of the whole sequence
             out[f] = self.scales[f] * (shape @ self.rotations[f, :2].T) + self.translations[f]
@@ -148,6 +161,7 @@ class Reconstruction:
 
         Neither scale nor translation is applied: the unit is the shapes'.
         """
+        self = self.on_host()
         out = np.empty_like(self.shapes, order="C")
         for f, shape in enumerate(self.shapes):
             out[f] = shape @ self.rotations[f].T
@@ -158,6 +172,7 @@ class Reconstruction:
 
         It grows away from the camera and is 0 at the object's origin; ``depth_deviation`` is its standard deviation.
         """
+        self = self.on_host()
         out = np.empty((self.n_frames, self.n_points), dtype=self.shapes.dtype)
         for f, shape in enumerate(self.shapes):
             out[f] = shape @ self.rotations[f, 2]
@@ -169,7 +184,9 @@ class Reconstruction:
         Orthography cannot tell depth z from −z. With D = diag(1, 1, −1), every rotation R becomes D R D and
         every shape S (P×3) becomes S D, so that in the camera's frame x and y stay and z changes its sign.
         """
-        mirror = _MIRROR.astype(self.shapes.dtype)
+        mirror: Any = _MIRROR.astype(np.float32)  # signs: exact in any type
+        if is_on_device(self.shapes):
+            mirror = to_device(mirror.astype(type_of(self.shapes)), self.shapes)
         diagnostics = dict(self.diagnostics)
         if not diagnostics.pop("mirrored", False):
             diagnostics["mirrored"] = True
@@ -186,7 +203,8 @@ class Reconstruction:
         NaN where a point was not seen, or not reconstructed. Raises ``InputError`` where the tracks are of
         another size.
         """
-        points, shape = np.asarray(tracks.points), (self.n_frames, self.n_points, 2)
+        self = self.on_host()
+        points, shape = np.asarray(tracks.in_memory().points), (self.n_frames, self.n_points, 2)
         if points.shape != shape:
             raise InputError(f"tracks: points of shape {shape} are needed, received {points.shape}")
         errors = np.empty(shape[:2])
@@ -211,7 +229,7 @@ class Reconstruction:
         """
         from nrsfm.files.reconstructions import write_reconstruction
 
-        write_reconstruction(self, path, overwrite=overwrite)
+        write_reconstruction(self.on_host(), path, overwrite=overwrite)
 
 
 def load_reconstruction(path: str | os.PathLike[str]) -> Reconstruction:
@@ -248,6 +266,11 @@ def _of_shape(value: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
 def _check_points(shapes: np.ndarray) -> np.ndarray:
     """Return which points (P,) are finite in every frame; the others must be NaN everywhere."""
     if isinstance(shapes, WrittenMap):
+        return np.ones(shapes.shape[1], dtype=bool)
+    if is_on_device(shapes):
+        xp = namespace(shapes)
+        if not bool(xp.all(xp.isfinite(shapes))):
+            raise InputError("shapes: on a device every coordinate must be finite, received NaN or infinity")
         return np.ones(shapes.shape[1], dtype=bool)
     if all(
         bool(_walked(np.isfinite(frame).all(), shapes)) for frame in shapes

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nrsfm.affine import PipelineOptions, Settings, Stages, reconstruct_affine
+from nrsfm.devices import is_on_device, namespace, to_device, to_host
 from nrsfm.errors import InputError
 from nrsfm.methods.base import Method
 from nrsfm.perspective import PerspectiveOptions
@@ -19,6 +20,7 @@ from nrsfm.perspective.evidence import find_perspective
 from nrsfm.reconstruction import Reconstruction
 from nrsfm.repair import Repaired, RepairOptions, repair
 from nrsfm.streaming.memory import resident
+from nrsfm.streaming.on_device import OnDevice
 from nrsfm.streaming.plan import bytes_of
 from nrsfm.streaming.readers import is_mapped, release
 from nrsfm.streaming.runners import Runner
@@ -49,7 +51,7 @@ def may_stream(tracks: Tracks, method: Method, settings: Settings) -> bool:
     if why_whole(tracks, method, settings) is not None:
         return False
     asked = options.memory is not None or options.shapes_file is not None or options.cluster is not None
-    return asked or tracks.unchecked or tracks.n_frames * tracks.n_points > LARGE
+    return asked or tracks.unchecked or tracks.on_device or tracks.n_frames * tracks.n_points > LARGE
 
 
 def why_whole(tracks: Tracks, method: Method, settings: Settings) -> str | None:
@@ -106,7 +108,7 @@ def reconstruct_streamed(
     target = Target(options.shapes_file)
     _require_small_output(target, tracks, options)
     cells = method.cells(settings.method, tracks.n_points, tracks.n_frames)
-    stream = Stream(tracks.points, target, room, runner, cells)
+    stream = OnDevice(tracks.points, cells) if tracks.on_device else Stream(tracks.points, target, room, runner, cells)
     with stages("reading tracks") as monitor:
         measured = stream.measure(settings.seed, monitor, stages.kept)
     indices = np.arange(stream.count) if measured.indices is None else measured.indices
@@ -142,6 +144,8 @@ def reconstruct_streamed(
     if getattr(settings.method, "by_cells", False) and result.diagnostics["noise"] > 0:
         if target.path is None and isinstance(tracks.points, np.ndarray) and not is_mapped(tracks.points):
             result = by_cells(result)
+        elif tracks.on_device:
+            result = by_cells(result.on_host())
         else:
             warnings.append("noisy tracks that are read in blocks are not resected cell by cell")
     everyone = np.ones(stream.count, dtype=bool)
@@ -159,6 +163,8 @@ class _Sample:
 
 def _picked(shapes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Some points (F, n, 3), frame by frame: touching all frames of a map at once would hold most of it in memory."""
+    if is_on_device(shapes):
+        return to_host(namespace(shapes).take(shapes, to_device(points, shapes), axis=1))
     out = np.empty((len(shapes), len(points), 3), dtype=shapes.dtype)
     for f, frame in enumerate(shapes):
         out[f] = frame[points]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from nrsfm.devices import is_on_device, namespace, to_host, type_of
 from nrsfm.errors import InputError
 from nrsfm.streaming.stored import StoredPoints, is_stored
 
@@ -28,6 +29,7 @@ class Tracks:
     ``float32`` and ``float64`` arrays of any order, read-only or memory-mapped, are kept without a copy (as a
     read-only view); other real types become ``float64``. Arrays of h5py and zarr, and memory maps of 256 MB or more,
     stay in their file: without ``visible`` their coordinates are checked when they are first read (``unchecked``).
+    Complete arrays of PyTorch and CuPy stay on their device.
     Construction checks what every use needs; the size that a reconstruction needs is checked by
     :meth:`require_reconstructible`.
 
@@ -51,6 +53,9 @@ class Tracks:
     unchecked: bool = dataclasses.field(init=False, default=False)
 
     def __post_init__(self) -> None:
+        if is_on_device(self.points):
+            self._keep_on_device()
+            return
         points = _whole_or_stored(self.points, "points")
         if points.ndim != 3 or points.shape[2] != 2:
             raise InputError(f"points: shape (frames, points, 2) is needed, received {points.shape}")
@@ -65,6 +70,23 @@ class Tracks:
         object.__setattr__(self, "visible", None if visible is None else _read_only(visible))
         missing = 0 if visible is None else visible.size - int(np.count_nonzero(visible))
         object.__setattr__(self, "n_missing", missing)
+
+    def _keep_on_device(self) -> None:
+        """Check tracks of PyTorch or CuPy as far as can be told without moving them; complete ones stay there."""
+        shape = tuple(self.points.shape)
+        if len(shape) != 3 or shape[2] != 2 or 0 in shape:
+            raise InputError(f"points: shape (frames, points, 2) is needed, received {shape}")
+        type_of(self.points)
+        if self.visible is not None:
+            raise InputError("visible: tracks on a device must be complete; copy those with gaps to NumPy arrays")
+        xp = namespace(self.points)
+        if not bool(xp.all(xp.isfinite(self.points))):
+            _check_finite(to_host(self.points), None)
+
+    @property
+    def on_device(self) -> bool:
+        """Whether the points are an array of PyTorch or CuPy."""
+        return is_on_device(self.points)
 
     @property
     def n_frames(self) -> int:
@@ -101,7 +123,8 @@ class Tracks:
 
         Entries that were not seen keep whatever the points hold there.
         """
-        return np.asarray(self.points).transpose(0, 2, 1).reshape(2 * self.n_frames, self.n_points)
+        points = to_host(self.points) if self.on_device else self.points
+        return np.asarray(points).transpose(0, 2, 1).reshape(2 * self.n_frames, self.n_points)
 
     @classmethod
     def from_point_first(cls, points: Any, occluded: Any = None) -> Tracks:
@@ -123,7 +146,9 @@ class Tracks:
         return cls(points.transpose(1, 0, 2), ~occluded.T)
 
     def in_memory(self) -> Tracks:
-        """The same tracks, read into memory and checked where they were left in their file."""
+        """The same tracks, in memory and checked where they were left in their file or on a device."""
+        if self.on_device:
+            return Tracks(to_host(self.points))
         return Tracks(np.array(self.points), self.visible) if self.unchecked else self
 
     def require_reconstructible(self) -> None:
@@ -133,7 +158,8 @@ class Tracks:
         if self.n_points < MINIMUM_POINTS:
             raise InputError(f"tracks: at least {MINIMUM_POINTS} points are needed, received {self.n_points}")
         for f in range(self.n_frames):
-            frame = self.points[f] if self.visible is None else self.points[f][self.visible[f]]
+            frame = to_host(self.points[f, ...]) if self.on_device else self.points[f]
+            frame = frame if self.visible is None else frame[self.visible[f]]
             if len(frame) and bool(np.any(frame != frame[0])):
                 return
         raise InputError(

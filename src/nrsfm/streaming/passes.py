@@ -130,11 +130,6 @@ class CellsOfShard:
     totals: np.ndarray
     grams: np.ndarray
 
-    def plus(self, other: CellsOfShard) -> CellsOfShard:
-        """Sums of both; the labels stay those of the first, whose Gram matrices change in place."""
-        self.grams.__iadd__(other.grams)
-        return CellsOfShard(self.labels, self.sizes + other.sizes, self.totals + other.totals, self.grams)
-
 
 def cells_of_shard(
     reader: Reader,
@@ -159,7 +154,7 @@ def cells_of_shard(
             own = nearest(rows)
             place = start - shard[0] + first
             labels[place : place + len(own)] = own
-            order, edges = _order(labels[place : place + len(own)], cells)
+            order, edges = order_of(labels[place : place + len(own)], cells)
             ordered = np.take(rows, order, axis=0, out=room[1, : len(own)], mode="clip")
             for k in np.flatnonzero(np.diff(edges)):
                 part = ordered[edges[k] : edges[k + 1]].astype(np.float64)
@@ -232,7 +227,7 @@ def expand_shard(
     for σ.
     """
     frames = reader.shape[0]
-    maps, backs = _short(expansion, frame.unit, dtype)
+    maps, backs = short(expansion, frame.unit, dtype)
     size = min(plan.part, shard[1] - shard[0])
     room = np.empty((2, size, 2 * frames), dtype=dtype)
     made = np.empty((size, 3 * frames), dtype=dtype)
@@ -242,7 +237,7 @@ def expand_shard(
             some = block[:, first : first + plan.part]
             rows = frame.rows(some, room[0])
             place = start + first
-            order, edges = _order(labels[place : place + len(rows)], len(maps))
+            order, edges = order_of(labels[place : place + len(rows)], len(maps))
             rows = np.take(rows, order, axis=0, out=room[1, : len(rows)], mode="clip")
             for k in np.flatnonzero(np.diff(edges)):
                 part = slice(edges[k], edges[k + 1])
@@ -284,7 +279,7 @@ def _to_frames(made: np.ndarray, order: np.ndarray, out: np.ndarray) -> None:
         turned[:, part] = rows[back[part]].T
 
 
-def _short(expansion: Expansion, unit: float, dtype: np.dtype) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
+def short(expansion: Expansion, unit: float, dtype: np.dtype) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
     """For each cell the maps (r, 3F) and (2F, r) of rows, or their product where that is the fewer operations.
 
     In the precision of the result; the rows are still to be divided by the unit.
@@ -305,7 +300,7 @@ def label_type(cells: int) -> np.dtype:
     return np.dtype(np.uint8 if cells <= 256 else np.int32)
 
 
-def _order(labels: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
+def order_of(labels: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Points sorted by cell, and where each cell begins."""
     order = np.argsort(labels, kind="stable")
     edges = np.concatenate([[0], np.cumsum(np.bincount(labels, minlength=cells))])

@@ -36,7 +36,7 @@ from nrsfm.streaming.passes import (
     picked,
 )
 from nrsfm.streaming.plan import Plan, plan
-from nrsfm.streaming.readers import ArrayReader, reader_of
+from nrsfm.streaming.readers import ArrayReader, Reader, reader_of
 from nrsfm.streaming.runners import Runner, Threads
 from nrsfm.streaming.stored import StoredPoints
 from nrsfm.streaming.targets import Target
@@ -64,7 +64,14 @@ class Stream:
         Who works on the shards; the threads of this process by default.
     cells
         Cells of points that are wanted.
+    reader
+        That of the points; by default the one that suits them.
     """
+
+    @property
+    def at_hand(self) -> bool:
+        """Whether points are in memory, so that some of them can be had without reading all."""
+        return isinstance(self.reader, ArrayReader)
 
     def __init__(
         self,
@@ -73,9 +80,10 @@ class Stream:
         room: int | None = None,
         runner: Runner | None = None,
         cells: int = 1,
+        reader: Reader | None = None,
     ) -> None:
         self.points = points
-        self.reader = reader_of(points)
+        self.reader = reader_of(points) if reader is None else reader
         self.target = Target() if target is None else target
         self.room = room
         self.runner = Threads() if runner is None else runner
@@ -83,7 +91,7 @@ class Stream:
         self.frames, self.count, _ = self.reader.shape
         self._seed = 0
         self._measured: Measurements | None = None
-        self._joined: _Cells | None = None  # of all points, where they came with the first pass
+        self._joined: Cells | None = None  # of all points, where they came with the first pass
 
     def measure(
         self, seed: int, told: Callable[[float], None] | None = None, kept: Callable[..., Any] | None = None
@@ -100,20 +108,28 @@ class Stream:
         """
         if self._measured is None or self._seed != seed:  # asked for twice, read once
             self._seed, self._joined = seed, None
-            from_file = kept is not None and not isinstance(self.reader, ArrayReader)
             work = functools.partial(self._measure, seed, told)
-            self._measured = kept("reading tracks", work) if kept is not None and from_file else work()
+            self._measured = work() if kept is None or self.at_hand else kept("reading tracks", work)
         return self._measured
 
-    def _measure(self, seed: int, told: Callable[[float], None] | None) -> Measurements:
+    def _wanted(self, seed: int) -> np.ndarray:
+        """Indices of the points of the sample, sorted."""
         size = min(self.count, SAMPLE)
         if self.room is not None:
             size = min(size, max(4096, self.room // (_SHARE * 2 * self.frames * self.reader.dtype.itemsize)))
         rng = np.random.default_rng([seed, 4])
-        wanted = np.arange(self.count)
-        if size < self.count:
-            wanted = np.sort(rng.choice(self.count, size=size, replace=False))
-        if isinstance(self.reader, ArrayReader) and self.cells > 1 and size >= self.cells:
+        if size == self.count:
+            return np.arange(self.count)
+        return np.sort(rng.choice(self.count, size=size, replace=False))
+
+    def _sample(self, wanted: np.ndarray) -> np.ndarray:
+        """These points (F, n, 2) of tracks at hand."""
+        points = self.reader.read(0, self.count)  # a view
+        return points if len(wanted) == self.count else picked(points, wanted)
+
+    def _measure(self, seed: int, told: Callable[[float], None] | None) -> Measurements:
+        wanted = self._wanted(seed)
+        if self.at_hand and self.cells > 1 and len(wanted) >= self.cells:
             return self._measure_with_cells(wanted, told)
         walk = self._plan(1)
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
@@ -126,8 +142,7 @@ class Stream:
 
     def _measure_with_cells(self, wanted: np.ndarray, told: Callable[[float], None] | None) -> Measurements:
         """The first pass and the second at once, about the mean and along the directions of a sample."""
-        points = self.reader.read(0, self.count)  # a view
-        sample = picked(points, wanted) if len(wanted) < self.count else points
+        sample = self._sample(wanted)
         if not np.isfinite(sample).all():
             self._require_finite(self._plan(1))
         frame, directions, centres = self._learnt(sample)
@@ -185,18 +200,13 @@ class Stream:
 
     def _assigned(
         self, frame: Frame, directions: np.ndarray, centres: np.ndarray, told: Callable[[float], None] | None
-    ) -> _Cells:
-        """The cells of all points; a centre that is nearest to no point has none."""
+    ) -> Cells:
+        """The cells of all points."""
         walk = self._plan(len(centres))
         work = functools.partial(cells_of_shard, self.reader, walk, frame, directions, centres)
         shards, tell = walk.shards(self.count), self._telling(told)
         parts, (sizes, totals, grams) = self.runner.sums(work, shards, "labels", ("sizes", "totals", "grams"), tell)
-        labels = np.concatenate(parts)
-        used = sizes > 0
-        if used.all():
-            return _Cells(labels, sizes, totals, grams)
-        labels = (np.cumsum(used) - 1).astype(labels.dtype)[labels]
-        return _Cells(labels, sizes[used], totals[used], grams[used])
+        return Cells.used(np.concatenate(parts), sizes, totals, grams)
 
     def expand(
         self,
@@ -216,7 +226,18 @@ class Stream:
         flat = shapes.reshape(3 * self.frames, -1) * measured.unit
         edges = zip(compressed.offsets[:-1], compressed.offsets[1:], strict=True)
         way = Expansion(tuple(flat[:, a:b] for a, b in edges), compressed.maps)
-        wanted: dict[str, Any] = {"shapes": ((self.frames, self.count, 3), np.dtype(dtype))}
+        return self._expanded(compressed, way, np.dtype(dtype), deviations, told)
+
+    def _expanded(
+        self,
+        compressed: CompressedTracks,
+        way: Expansion,
+        dtype: np.dtype,
+        deviations: Deviations | None,
+        told: Callable[[float], None] | None,
+    ) -> dict[str, np.ndarray]:
+        measured = compressed.measurements
+        wanted: dict[str, Any] = {"shapes": ((self.frames, self.count, 3), dtype)}
         if deviations is not None:
             wanted["depth_deviation"] = ((self.frames, self.count), np.dtype(np.float32))
         walk = self._plan(len(compressed.maps), self.target.granule(self.frames))
@@ -229,7 +250,7 @@ class Stream:
                 Frame(measured.translations, measured.unit),
                 expansion=way,
                 deviations=deviations,
-                dtype=np.dtype(dtype),
+                dtype=dtype,
             )
             self.runner.write(work, walk.shards(self.count), compressed.labels, writers, self._telling(told))
             return target.finish()
@@ -276,7 +297,7 @@ class Stream:
 
 
 @dataclass(frozen=True)
-class _Cells:
+class Cells:
     """Of all points: ``labels`` (P,); of each cell ``sizes`` (K,), ``totals`` (K, 2F) and ``grams`` (K, 2F, 2F)."""
 
     labels: np.ndarray
@@ -284,13 +305,21 @@ class _Cells:
     totals: np.ndarray
     grams: np.ndarray
 
-    def about(self, mean: np.ndarray, unit: float) -> _Cells:
+    @classmethod
+    def used(cls, labels: np.ndarray, sizes: np.ndarray, totals: np.ndarray, grams: np.ndarray) -> Cells:
+        """The cells that hold points; a centre that is nearest to none has no cell."""
+        used = sizes > 0
+        if used.all():
+            return cls(labels, sizes, totals, grams)
+        return cls((np.cumsum(used) - 1).astype(labels.dtype)[labels], sizes[used], totals[used], grams[used])
+
+    def about(self, mean: np.ndarray, unit: float) -> Cells:
         """The same of tracks less a mean (2F,), in a unit; the Gram matrices change in place."""
         for size, total, gram in zip(self.sizes, self.totals, self.grams, strict=True):
             cross = np.outer(total, mean)
             gram += size * np.outer(mean, mean) - cross - cross.T
             gram /= unit**2
-        return _Cells(self.labels, self.sizes, (self.totals - self.sizes[:, None] * mean) / unit, self.grams)
+        return Cells(self.labels, self.sizes, (self.totals - self.sizes[:, None] * mean) / unit, self.grams)
 
 
 def _map(threads: Threads, function: Callable[..., Any], items: Any) -> list[Any]:
