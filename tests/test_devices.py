@@ -102,6 +102,12 @@ def test_sums_and_cells_are_those_of_the_host(kind, offset):
     np.testing.assert_array_equal(first.sizes, second.sizes)
 
 
+def test_gradients_are_not_followed(points):
+    library = pytest.importorskip("torch")
+    result = nrsfm.reconstruct(library.asarray(np.array(points)).requires_grad_(), "bmm")
+    assert not result.shapes.requires_grad
+
+
 def test_few_points_are_worked_on_by_the_host_and_come_back():
     points = bending(300, noise=0.0)
     result = nrsfm.reconstruct(strict(points), "bmm")

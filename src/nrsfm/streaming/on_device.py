@@ -53,6 +53,7 @@ class OnDevice(Stream):
     at_hand = True
 
     def __init__(self, points: Any, cells: int = 1) -> None:
+        points = points.detach() if hasattr(points, "detach") else points  # PyTorch would note every step for gradients
         super().__init__(points, reader=DeviceReader(points), cells=cells)
         self._xp = namespace(points)
         try:
