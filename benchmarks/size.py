@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from statistics import mean, median
+from statistics import median
 from typing import Any
 
-from benchmarks import long_task, quiet, store, targets
+from benchmarks import quiet, size_long, store, targets
 from benchmarks.children import KEEPS_MEMORY, TIMED_THREADS, TaskError
 from benchmarks.size_data import Size
+from benchmarks.size_kept import NOT_MEASURED, KeptPart, kept_parts
 from benchmarks.size_parts import (
     ACTOR,
     CELLS,
@@ -25,7 +27,7 @@ from benchmarks.size_parts import (
     VERTICES,
     scratch,
 )
-from benchmarks.tables import Check, amount, error, noise_words, table
+from benchmarks.tables import Check, Fact, amount, error, table
 
 TITLE = "Any size"
 _GROWS = 1.25, 0.005  # a stage grows with the points where it takes so many times as long, and so many seconds more
@@ -71,8 +73,7 @@ def _words(size: Size) -> str:
     return f"{size.points:,} × {size.frames}"
 
 
-def _actor_checks(values: dict[str, Any]) -> list[Check]:
-    part = _part(values, "actor")
+def _actor_checks(part: dict[str, Any] | None) -> list[Check]:
     seconds = peak = gap = None
     if part:
         large, small = part["large"], part["small"]
@@ -107,8 +108,7 @@ def _iteration(row: dict[str, Any]) -> float:
     return float(median(stages[METHOD] for stages in row["stages"]) / row["iterations"])
 
 
-def _growth_checks(values: dict[str, Any]) -> list[Check]:
-    part = _part(values, "growth")
+def _growth_checks(part: dict[str, Any] | None) -> list[Check]:
     passes = iteration = None
     if part:
         passes = sum(_growing(part).values()) / median(part["many"]["gram"])
@@ -120,51 +120,31 @@ def _growth_checks(values: dict[str, Any]) -> list[Check]:
     ]
 
 
-def _millions_check(values: dict[str, Any]) -> Check:
-    part = _part(values, "ten-million")
+def _millions_checks(part: dict[str, Any] | None) -> list[Check]:
     peak = part["large"]["peak_bytes"] / GIGA if part else None
-    return Check(f"{_words(MILLIONS)}: peak memory", peak, targets.SIZE_BUDGET, " GB")
+    return [Check(f"{_words(MILLIONS)}: peak memory", peak, targets.SIZE_BUDGET, " GB")]
 
 
-def _speed_check(values: dict[str, Any]) -> Check:
-    part = _part(values, "speed")
+def _speed_checks(part: dict[str, Any] | None) -> list[Check]:
     ratio = None
     if part:
         (run,) = part["runs"].values()
         ratio = median(run["seconds"]) / median(part["svd"])
-    return Check(f"29,299 × 99, 3% noise, `{METHOD}`: time / one dense SVD", ratio, targets.SIZE_SVD, "×")
+    return [Check(f"29,299 × 99, 3% noise, `{METHOD}`: time / one dense SVD", ratio, targets.SIZE_SVD, "×")]
 
 
-def _long_rows(part: dict[str, Any]) -> dict[tuple[str, float], dict[int, list[dict[str, Any]]]]:
-    """Runs by method and noise, then by number of frames, 0 for the pieces."""
-    found: dict[tuple[str, float], dict[int, list[dict[str, Any]]]] = {}
-    for row in part["rows"]:
-        found.setdefault((row["method"], row["noise"]), {})[row["frames"]] = row["runs"]
+def checks(values: dict[str, Any]) -> list[Check | Fact]:
+    """Time, memory and error of the largest sequence, ten million points, growth, the SVD, and a long sequence.
+
+    What the page says of a part that was not measured here still counts.
+    """
+    before = kept_parts(TITLE)
+    found: list[Check | Fact] = []
+    for name, one in PAGE_PARTS.items():
+        numbers = one.checks(_part(values, name))
+        known = before.get(one.title) if name not in values["records"] else None
+        found += known.checks(numbers) if known else numbers
     return found
-
-
-def _long_checks(values: dict[str, Any]) -> list[Check]:
-    part = _part(values, "long")
-    what = f"{long_task.POINTS:,} × {long_task.FRAMES}"
-    if part is None:
-        return [Check(f"{what}: time", None, targets.SIZE_LONG_SECONDS, " s")]
-    rows = _long_rows(part)
-    wholes = [runs[long_task.FRAMES][0] for runs in rows.values()]
-    found = [
-        Check(f"{what}: longest time", max(w["seconds"] for w in wholes), targets.SIZE_LONG_SECONDS, " s"),
-        Check(f"{what}: peak memory", max(w["peak_bytes"] for w in wholes) / GIGA, targets.SIZE_MEMORY, " GB"),
-    ]
-    for (method, noise), runs in rows.items():
-        ratio = runs[long_task.FRAMES][0]["per-frame"] / mean(run["per-frame"] for run in runs[0])
-        words = f"{what}, {noise_words(noise)}, `{method}`: error / mean of its {long_task.PIECE}-frame pieces"
-        found.append(Check(words, ratio, targets.SIZE_LONG_ERROR, "×"))
-    return found
-
-
-def checks(values: dict[str, Any]) -> list[Check]:
-    """Time, memory and error of the largest sequence, growth, ten million points, the SVD, and a long sequence."""
-    first = [*_actor_checks(values), *_growth_checks(values), _millions_check(values), _speed_check(values)]
-    return [*first, *_long_checks(values)]
 
 
 def render(values: dict[str, Any]) -> list[str]:
@@ -175,15 +155,24 @@ def render(values: dict[str, Any]) -> list[str]:
         f"defaults unless said otherwise, {values['threads']} threads, each measurement in a process of its own. "
         "'From file to file': the tracks are a memory-mapped `.npy` that is not in the system's cache, the shapes go "
         "to a `.npy`, and the clock stops when the disk has them. Peak memory is the peak resident size of the whole "
-        "process, touched pages of mapped files included; 1 GB is 10⁹ bytes. e3D is per frame, all points. "
-        f"{quiet.sentence(values['others'])}",
+        "process, touched pages of mapped files included; 1 GB is 10⁹ bytes. e3D is per frame, all points.",
         "",
         *table(["", "target"], [[check.what, check.cell()] for check in checks(values)]),
     ]
-    for name, words in _RENDERED.items():
-        part = _part(values, name)
-        lines += words(part) if part else [f"**Part '{name}' was not measured.**", ""]
+    before = kept_parts(TITLE)
+    for name, one in PAGE_PARTS.items():
+        lines += [f"### {one.title}", "", *_part_lines(values, name, before.get(one.title)), ""]
     return lines
+
+
+def _part_lines(values: dict[str, Any], name: str, before: KeptPart | None) -> list[str]:
+    """One part: its own numbers; else those of the page, unless it was tried here and failed."""
+    part = _part(values, name)
+    if part:
+        return [f"Measured {part['date']}. {quiet.sentence(part['others'])}", "", *PAGE_PARTS[name].render(part)[:-1]]
+    if before and name not in values["records"]:
+        return before.noted()
+    return [NOT_MEASURED]
 
 
 def _render_whole(part: dict[str, Any]) -> list[str]:
@@ -239,16 +228,13 @@ def _render_growth(part: dict[str, Any]) -> list[str]:
         ]
         for name in names
     ]
-    fresh = sum(_stage_medians(part["fresh"])[name] for name in growing)
     virtual = " → ".join(f"{part[name]['virtual_points']:,}" for name in ("few", "many"))
     lines = [
-        f"**What grows with the number of points** (in memory, `deviation=False`, medians of {ROUNDS} rounds; a stage "
-        f"grows where it takes more than {_GROWS[0]:g} times as long): {sum(growing.values()):.2f} s at "
+        f"In memory, `deviation=False`, medians of {ROUNDS} rounds; a stage grows where it takes more than "
+        f"{_GROWS[0]:g} times as long. What grows takes {sum(growing.values()):.2f} s at "
         f"{_words(MANY)}, beside {median(part['many']['gram']):.2f} s for one float64 `W @ W.T` of the same tracks. An "
         f"iteration takes {1e3 * _iteration(part['few']):.2f} → {1e3 * _iteration(part['many']):.2f} ms ({virtual} "
-        f"virtual points). The process keeps the memory that it has freed ({_memory_settings()}); otherwise the same "
-        f"stages take {fresh:.2f} s: the system gives {12e-9 * MANY.points * MANY.frames:.1f} GB of new memory for the "
-        "shapes.",
+        f"virtual points).{_fresh(part)}",
         "",
         *table(["stage, seconds", _words(FEW), _words(MANY), "grows"], rows),
         "The same tracks from file to file:",
@@ -257,8 +243,17 @@ def _render_growth(part: dict[str, Any]) -> list[str]:
     return lines + _render_whole({"large": part["file"]})
 
 
-def _memory_settings() -> str:
-    return ", ".join(f"`{name}={value}`" for name, value in KEEPS_MEMORY.items())
+def _fresh(part: dict[str, Any]) -> str:
+    """Which memory the process works in, and what the same stages take otherwise; earlier records do not tell."""
+    if "fresh" not in part:
+        return ""
+    medians = _stage_medians(part["fresh"])
+    settings = ", ".join(f"`{name}={value}`" for name, value in KEEPS_MEMORY.items())
+    return (
+        f" The process keeps the memory that it has freed ({settings}); otherwise the same stages take "
+        f"{sum(medians.get(name, 0.0) for name in _growing(part)):.2f} s: the system gives "
+        f"{12e-9 * MANY.points * MANY.frames:.1f} GB of new memory for the shapes."
+    )
 
 
 def _render_speed(part: dict[str, Any]) -> list[str]:
@@ -277,7 +272,8 @@ def _render_grid(part: dict[str, Any]) -> list[str]:
     head += ["iterations", "e3D", "reading the file, s", "one `W @ W.T`, s", "one SVD, s"]
     rows = [_grid_cells(row) for row in part["rows"]]
     lines = [
-        "**Seconds and memory against points, frames, cells and method**: from file to file, `deviation=False`",
+        "Seconds and memory with one thing changed at a time, from file to file, `deviation=False`; methods without "
+        "cells have K 1.",
         "",
     ]
     return lines + table(head, rows)
@@ -302,49 +298,20 @@ def _grid_cells(row: dict[str, Any]) -> list[str]:
     ]
 
 
-def _render_long(part: dict[str, Any]) -> list[str]:
-    head = ["method", "tracks", "frames", "seconds", "peak, GB", "e3D", "one alignment", "virtual points"]
-    head += ["directions", "key frames", "‖W‖² cut or shrunk away", "left out of the directions"]
-    rows = []
-    for (method, noise), by_frames in _long_rows(part).items():
-        for frames, runs in by_frames.items():
-            rows.append([f"`{method}`", noise_words(noise), *_long_cells(frames, runs)])
-    return [
-        f"**Thousands of frames**: `{long_task.TAKE}`, {long_task.POINTS:,} points, float32, under a head that turns "
-        "and nods; its first frames, and the whole; then "
-        f"{long_task.PIECES} pieces of {long_task.PIECE} frames, each on its own (means; the most memory). Nothing set "
-        "but the method; single runs. What the directions of the iteration leave out is a root mean square per "
-        "coordinate in units of the tracks' own.",
-        "",
-        *table(head, rows),
-    ]
+@dataclasses.dataclass(frozen=True)
+class PagePart:
+    """A part on the page: its heading, its targets (without a number where it has no record), its tables."""
+
+    title: str
+    checks: Callable[[dict[str, Any] | None], list[Check]]
+    render: Callable[[dict[str, Any]], list[str]]
 
 
-def _long_cells(frames: int, runs: list[dict[str, Any]]) -> list[str]:
-    def average(name: str) -> float:
-        return mean(run[name] for run in runs)
-
-    last = runs[-1]
-    pieces = f"{len(runs)} pieces of {long_task.PIECE}"
-    return [
-        f"{frames:,}" if frames else pieces,
-        f"{average('seconds'):.1f}",
-        f"{max(run['peak_bytes'] for run in runs) / GIGA:.2f}",
-        error(average("per-frame")),
-        error(average("global")),
-        f"{round(average('virtual_points')):,}",
-        str(last["directions"] or "") if frames else "",
-        str(last["key_frames"] or "") if frames else "",
-        f"{average('discarded'):.1e}",
-        f"{last['cut']:.1e}" if frames and last["cut"] else "",
-    ]
-
-
-_RENDERED: dict[str, Callable[[dict[str, Any]], list[str]]] = {
-    "actor": _render_whole,
-    "ten-million": _render_whole,
-    "growth": _render_growth,
-    "speed": _render_speed,
-    "long": _render_long,
-    "grid": _render_grid,
+PAGE_PARTS = {
+    "actor": PagePart("As large as the largest capture", _actor_checks, _render_whole),
+    "ten-million": PagePart("Ten million points", _millions_checks, _render_whole),
+    "growth": PagePart("What grows with the number of points", _growth_checks, _render_growth),
+    "speed": PagePart("Beside one dense SVD", _speed_checks, _render_speed),
+    "long": PagePart("Thousands of frames", size_long.checks, size_long.render),
+    "grid": PagePart("Points, frames, cells and methods", lambda _: [], _render_grid),
 }

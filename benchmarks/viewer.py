@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks import quiet
 from benchmarks.store import Context, DataAbsentError
-from benchmarks.tables import Check, table
+from benchmarks.tables import Fact, amount, table
 from nrsfm import Reconstruction
 from nrsfm.datasets.synthetic import face_sequence
 from nrsfm.viewing.viewer import Content, ViewServer, make_content
@@ -51,7 +51,9 @@ def measure(_: Context | None = None) -> dict[str, Any]:
         rows = {name: _play(browser, f"{server.address}#{words}") for name, words in _CASES.items()}
         version = browser.version
         browser.close()
-    return {"cases": rows, "browser": version, "cores": os.cpu_count()}
+    known = [row["others"] for row in rows.values() if row["others"] is not None]
+    found = {"cases": rows, "browser": version, "cores": os.cpu_count()}
+    return found | {"others": max(known) if known else None}
 
 
 def _content() -> Content:
@@ -96,21 +98,31 @@ def _processor_seconds() -> float:
     return sum(used[number] for number in below - {os.getpid()}) / os.sysconf("SC_CLK_TCK")
 
 
-def checks(values: dict[str, Any]) -> list[Check]:
-    """Whether points play in time; a check is passed by less, so that it is of the time between frames."""
-    spent = 1000 / max(values["cases"]["points, one colour"]["rate"], 1e-9)
-    return [Check("view: 28,880 points × 99 frames, between frames", spent, 1000 / WANTED * 1.02, " ms")]
+def checks(values: dict[str, Any]) -> list[Fact]:
+    """Whether each case plays in time, to the nearest whole frame a second."""
+    return [
+        Fact(
+            f"view: {POINTS:,} points × {FRAMES} frames, {name}",
+            round(one["rate"]) >= WANTED,
+            f"{one['rate']:.1f} of {WANTED:g} frames a second",
+        )
+        for name, one in values["cases"].items()
+    ]
 
 
 def render(values: dict[str, Any]) -> list[str]:
     """One row for each case."""
     rows = [
-        [name, f"{one['rate']:.1f}", f"{one['milliseconds']:.0f} ms", one["size"], f"{one['others']}"]
-        for name, one in values["cases"].items()
+        [name, check.cell(), f"{one['milliseconds']:.0f} ms", one["size"], amount(one["others"])]
+        for (name, one), check in zip(values["cases"].items(), checks(values), strict=True)
     ]
     head = f"Chromium {values['browser']} without a window or a graphics card, {values['cores']} cores, 1280 × 800"
     columns = ["", "frames a second", "processor time per frame", "picture", "cores that others used"]
-    return [f"{head}; {POINTS:,} points × {FRAMES} frames, 30 frames a second asked for.", "", *table(columns, rows)]
+    return [
+        f"{head}; {POINTS:,} points × {FRAMES} frames, {WANTED:g} frames a second asked for.",
+        "",
+        *table(columns, rows),
+    ]
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
 """The section about size: tracks with a truth at any number of points, scores in stretches, targets that can fail."""
 
 import dataclasses
+import io
+import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from benchmarks import long_task, size, size_data, size_parts, store, targets
+from benchmarks import long_task, page, size, size_data, size_long, size_parts, store, targets
 from benchmarks.children import TaskError, run_task
 from benchmarks.size_data import Size, surface, write_tracks
 from benchmarks.size_scores import Moments, errors_of
@@ -109,7 +112,7 @@ def _row(made, seconds=1.0, **other):
     return row | {"options": {}, "method": "geometry-aware", "warnings": []} | other
 
 
-def _long_rows(error, peak, seconds):
+def _long_rows(error, turned, peak, seconds):
     """Rows of the part about long sequences, all alike but for the whole with noise."""
     rows = []
     for method in size_parts.LONG_METHODS:
@@ -118,7 +121,7 @@ def _long_rows(error, peak, seconds):
                 run = {"start": 0, "seconds": 9.0, "peak_bytes": 2e9, "per-frame": 0.01, "global": 0.02}
                 run |= {"discarded": 1e-6, "virtual_points": 300, "directions": 90, "cut": 1e-5, "key_frames": None}
                 if noise and frames == long_task.FRAMES:
-                    run |= {"seconds": seconds, "peak_bytes": peak, "per-frame": error}
+                    run |= {"seconds": seconds, "peak_bytes": peak, "per-frame": error, "global": turned}
                 runs = [run] if frames else [run] * long_task.PIECES
                 rows.append({"method": method, "noise": noise, "frames": frames, "runs": runs})
     return rows
@@ -132,6 +135,7 @@ def _values(
     peak=2e9,
     solve=0.9,
     long_error=0.01,
+    long_turned=0.02,
     long_peak=2e9,
     long_seconds=9.0,
 ):
@@ -144,14 +148,20 @@ def _values(
             "small": _row(size.VERTICES),
         },
         "growth": {"few": few, "many": many, "fresh": many, "file": many},
-        "long": {"rows": _long_rows(long_error, long_peak, long_seconds)},
+        "long": {"rows": _long_rows(long_error, long_turned, long_peak, long_seconds)},
         "ten-million": {"large": _row(size.MILLIONS, options={"memory": "4GB"}, peak_bytes=peak)},
         "speed": {"runs": {"face": {"seconds": [solve], "cells": 50}}, "svd": [1.0]},
         "grid": {"rows": [_row(size.FEW)]},
     }
     assert parts.keys() == size_parts.PARTS.keys()
-    records = {name: part | {"code": "now", "others": 0.0} for name, part in parts.items()}
+    records = {name: part | {"code": "now", "date": "2000-01-01", "others": 0.0} for name, part in parts.items()}
     return {"records": records, "others": 0.0, "threads": 2}
+
+
+@pytest.fixture(autouse=True)
+def no_page(monkeypatch, tmp_path):
+    """Nothing is known of an earlier page."""
+    monkeypatch.setattr(store, "PAGE", tmp_path / "benchmarks.md")
 
 
 @pytest.mark.parametrize(
@@ -166,8 +176,9 @@ def _values(
         ({"peak": 4.1e9}, {"10,000,000 × 100: peak memory"}),
         ({"solve": 1.01}, {"one dense SVD"}),
         ({"long_seconds": 601.0}, {"longest time"}),
-        ({"long_peak": 8.1e9}, {"4030: peak memory"}),
+        ({"long_peak": 8.1e9}, {"4,030: peak memory"}),
         ({"long_error": 0.0106}, {"`geometry-aware`: error / mean", "`auto`: error / mean"}),
+        ({"long_turned": 0.0211}, {"`geometry-aware`: error with one", "`auto`: error with one"}),
     ],
 )
 def test_each_target_can_be_missed(worse, missed):
@@ -189,12 +200,19 @@ def test_only_stages_that_grow_count_and_time_in_no_stage_counts_too():
     assert size._growing(values["records"]["growth"])["the rest"] == pytest.approx(5.0 - 0.8)
 
 
+def test_earlier_records_say_nothing_of_the_memory_they_worked_in():
+    values = _values()
+    assert "keeps the memory" in "\n".join(size.render(values))
+    del values["records"]["growth"]["fresh"]
+    assert "keeps the memory" not in "\n".join(size.render(values))
+
+
 def test_parts_that_are_missing_or_failed_have_no_number():
     empty = {"records": {}, "others": None, "threads": 2}
     assert not any(check.passed for check in size.checks(empty))
-    assert "\n".join(size.render(empty)).count("was not measured") == len(size_parts.PARTS)
+    assert "\n".join(size.render(empty)).count("**Not measured.**") == len(size_parts.PARTS)
     values = _values()
-    values["records"]["actor"] = {"error": "TaskError: no", "code": "now", "others": 0.0}
+    values["records"]["actor"] = {"error": "TaskError: no", "code": "now", "date": "2000-01-01", "others": 0.0}
     assert sum(check.value is None for check in size.checks(values)) == 3
 
 
@@ -234,3 +252,136 @@ def test_the_targets_are_those_of_the_project():
     assert (targets.SIZE_SECONDS, targets.SIZE_MEMORY, targets.SIZE_ERROR) == (300.0, 8.0, 2.0)
     assert (targets.SIZE_PASS, targets.SIZE_BUDGET, targets.SIZE_SVD) == (4.0, 4.0, 1.0)
     assert (targets.SIZE_LONG_SECONDS, targets.SIZE_LONG_ERROR) == (600.0, 1.05)
+
+
+def test_the_cameras_of_the_long_take_are_those_that_the_page_names():
+    from scipy.spatial.transform import Rotation
+
+    angle = 2 * np.pi * np.arange(4030) / 345
+    turns = [("z", 6 * np.sin(1.7 * angle + 1)), ("x", 18 * np.sin(4.3 * angle + 0.4)), ("y", 45 * np.sin(3 * angle))]
+    z, x, y = (Rotation.from_euler(axis, degrees[:, None], degrees=True) for axis, degrees in turns)
+    np.testing.assert_allclose(long_task.cameras(4030), (z * x * y).as_matrix(), atol=1e-12)
+    assert size_long.CAMERAS in "\n".join(size.render(_values()))
+
+
+@pytest.fixture
+def short_take(data_root, monkeypatch, capsys):
+    """Run the task on few frames and points in place of the take; gives its rows, and what it loaded."""
+    made = surface(Size(1_500, 120))
+    loaded = {}
+
+    def load(name, folder, **options):
+        loaded.update(options, name=name)
+        tracks = SimpleNamespace(points=made.tracks(0, 1_500).astype(options["dtype"]))
+        return SimpleNamespace(tracks=tracks, shapes=made.truth(0, 1_500))
+
+    monkeypatch.setattr(long_task, "datasets", SimpleNamespace(load=load))
+    for name, value in {"FRAMES": 120, "PIECE": 30, "PIECES": 4}.items():
+        monkeypatch.setattr(long_task, name, value)
+
+    def run(**settings):
+        monkeypatch.setattr(
+            "sys.stdin", io.StringIO(json.dumps({"method": "geometry-aware", "noise": 0.01} | settings))
+        )
+        long_task.main()
+        return json.loads(capsys.readouterr().out)["rows"], loaded
+
+    return run
+
+
+def test_the_long_take_is_measured_from_its_beginning_and_in_pieces(short_take):
+    whole, loaded = short_take(frames=60)
+    assert (loaded["name"], loaded["noise"], loaded["dtype"]) == ("ict-take3", 0.01, "float32")
+    assert loaded["rotations"].shape == (120, 3, 3)
+    pieces, _ = short_take(frames=0)
+    assert [run["start"] for run in whole] == [0]
+    assert [run["start"] for run in pieces] == [0, 30, 60, 90]
+    for run in [*whole, *pieces]:
+        assert 0 < run["per-frame"] <= run["global"] < 0.1
+        assert 0 < run["discarded"] < 0.01
+        assert run["peak_bytes"] >= run["loaded_bytes"] > 1e7
+        assert run["seconds"] >= sum(run["stages"].values()) > 0
+    rows = [{"method": "bmm", "noise": 0.01, "frames": n, "runs": runs} for n, runs in ((60, whole), (0, pieces))]
+    lines = [line for line in size_long.render({"rows": rows}) if line.startswith("| `bmm` | 1% noise | ")]
+    assert len(lines) == 2
+
+
+def test_every_length_of_the_long_take_is_measured_for_every_method_and_noise(monkeypatch, tmp_path):
+    asked = []
+
+    def run(module, given):
+        assert module == "long_task"
+        asked.append((given["method"], given["noise"], given["frames"]))
+        whole = {"noise": given["noise"], "frames": given["frames"]}
+        return {"rows": next(row["runs"] for row in _long_rows(0.01, 0.02, 2e9, 9.0) if whole.items() <= row.items())}
+
+    monkeypatch.setattr(size_parts, "run_task", run)
+    part = size_parts.PARTS["long"](tmp_path)
+    lengths = (346, 1000, 2000, 4030, 0)
+    assert asked == [(m, n, f) for m in ("geometry-aware", "auto") for n in (0.0, 0.01) for f in lengths]
+    assert all(check.passed for check in size_long.checks(part))
+    lines = [line for line in size_long.render(part) if line.startswith("| `")]
+    assert len(lines) == len(asked)
+    assert sum("10 pieces of 99" in line for line in lines) == 4
+
+
+@pytest.fixture
+def kept(monkeypatch, tmp_path):
+    """Write the page of this section alone, from some of its parts, on a machine; gives its text."""
+    monkeypatch.setattr(page, "SECTIONS", {"size": size})
+    monkeypatch.setattr(page, "in_words", lambda machine: machine["name"])
+    monkeypatch.setattr(store, "ROOT", tmp_path)
+    monkeypatch.setattr(store, "OUTPUT", tmp_path / "kept")
+    monkeypatch.setattr(store, "code_digest", lambda *_: "now")
+
+    def write(values, machine, *names):
+        monkeypatch.setattr(store, "machine", lambda: {"name": machine})
+        store.write("size", values | {"records": {name: values["records"][name] for name in names}})
+        page.write_page()
+        return store.PAGE.read_text(encoding="utf-8")
+
+    return write
+
+
+def _below(text, part):
+    return text.split(f"### {size.PAGE_PARTS[part].title}\n\n")[1].split("\n#")[0].strip()
+
+
+def test_parts_that_are_not_measured_again_stay_on_the_page_with_their_targets(kept):
+    first = kept(_values(expansion=0.41, large=301.0), "old machine", *size_parts.PARTS)
+    second = kept(_values(long_seconds=601.0), "new machine", "long")
+    for name in size_parts.PARTS:
+        old, new = (_below(text, name).split("\n") for text in (first, second))
+        if name == "long":
+            assert "Kept" not in "".join(new)
+            assert "601.0" in "".join(new)
+        else:
+            assert [line for line in new if "Kept from" not in line] == [*old[:1], "", *old[1:]]
+            assert sum("Kept from" in line and line.endswith(": old machine") for line in new) == 1
+    missed = [line for line in second.splitlines() if line.startswith("- ")]
+    assert [("from file to file" in line, "what grows" in line, "longest" in line) for line in missed] == [
+        (True, False, False),
+        (False, True, False),
+        (False, False, True),
+    ]
+    assert second.count("no number") == 0
+    checks = len(size.checks(_values()))
+    assert f"| Any size | {checks - 3} of {checks} | ✗ |" in second
+    assert kept(_values(long_seconds=601.0), "new machine", "long") == second, (
+        "written again from itself it is the same"
+    )
+    third = kept(_values(), "third machine", "actor", "growth")
+    assert "Kept" not in _below(third, "actor")
+    assert _below(third, "grid") == _below(second, "grid")
+    assert "new machine" in _below(third, "long")
+
+
+def test_a_part_that_fails_where_it_is_measured_again_is_not_kept(kept):
+    values = _values()
+    kept(values, "old machine", *size_parts.PARTS)
+    values["records"]["speed"] = {"error": "no room", "code": "now", "date": "2000-01-02", "others": 0.0}
+    text = kept(values, "new machine", "speed")
+    assert _below(text, "speed") == "**Not measured.**"
+    assert "- Any size: speed: no room" in text
+    assert text.count("no number ✗") == 2
+    assert "Not measured" not in _below(text, "actor")
