@@ -13,6 +13,7 @@ import numpy as np
 
 from nrsfm.devices import is_on_device, namespace, to_device, to_host, type_of
 from nrsfm.errors import FileError, InputError
+from nrsfm.numerics.finite import all_finite
 from nrsfm.streaming.readers import WrittenMap, release
 
 if TYPE_CHECKING:
@@ -272,9 +273,7 @@ def _check_points(shapes: np.ndarray) -> np.ndarray:
         if not bool(xp.all(xp.isfinite(shapes))):
             raise InputError("shapes: on a device every coordinate must be finite, received NaN or infinity")
         return np.ones(shapes.shape[1], dtype=bool)
-    if all(
-        bool(_walked(np.isfinite(frame).all(), shapes)) for frame in shapes
-    ):  # frame by frame: no mask of the input's size
+    if all(_walked(all_finite(frame), shapes) for frame in shapes):  # frame by frame: no mask of the input's size
         return np.ones(shapes.shape[1], dtype=bool)
     finite = np.isfinite(shapes[0, :, 0])
     for f, frame in enumerate(shapes):
@@ -294,7 +293,7 @@ def _check_points(shapes: np.ndarray) -> np.ndarray:
     return finite
 
 
-def _walked(found: np.bool_, array: np.ndarray) -> np.bool_:
+def _walked(found: bool, array: np.ndarray) -> bool:
     """What was found in a frame; its pages are given back where the array is a map of a file."""
     release(array)
     return found

@@ -10,6 +10,7 @@ import numpy as np
 
 from nrsfm.devices import is_on_device, namespace, to_host, type_of
 from nrsfm.errors import InputError
+from nrsfm.numerics.finite import all_finite
 from nrsfm.streaming.stored import StoredPoints, is_stored
 
 MINIMUM_FRAMES = 3
@@ -275,10 +276,9 @@ def _check_finite(points: np.ndarray, visible: np.ndarray | None) -> None:
     entries = numbers = 0
     first: tuple[int, int] | None = None
     for rows, columns in _blocks(points):
-        finite = np.isfinite(points[rows, columns])
-        if finite.all():
+        if all_finite(points[rows, columns]):
             continue
-        wrong = ~finite
+        wrong = ~np.isfinite(points[rows, columns])
         if visible is not None:
             wrong &= visible[rows, columns, np.newaxis]
             if not wrong.any():

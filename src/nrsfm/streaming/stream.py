@@ -26,6 +26,7 @@ from nrsfm.compression import (
     track_coordinates,
 )
 from nrsfm.errors import InputError
+from nrsfm.numerics.finite import all_finite
 from nrsfm.streaming.passes import (
     Deviations,
     Expansion,
@@ -45,6 +46,7 @@ SAMPLE = 50_000
 """Points that teach the centres of cells, the noise, and what is asked about outliers and perspective."""
 
 _DIRECTIONS = 10  # leading directions of the sample in which its cells are found
+_LEARNT = 20_000  # points of the sample that teach directions and centres
 _OFFSET = 4096  # points whose mean is the provisional offset
 _SHARE = 8  # the sample takes at most this part of the memory for blocks
 
@@ -143,7 +145,7 @@ class Stream:
     def _measure_with_cells(self, wanted: np.ndarray, told: Callable[[float], None] | None) -> Measurements:
         """The first pass and the second at once, about the mean and along the directions of a sample."""
         sample = self._sample(wanted)
-        if not np.isfinite(sample).all():
+        if not all_finite(sample):
             self._require_finite(self._plan(1))
         frame, directions, centres = self._learnt(sample)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -155,7 +157,8 @@ class Stream:
 
     def _learnt(self, sample: np.ndarray) -> tuple[Frame, np.ndarray, np.ndarray]:
         """What a sample (F, n, 2) says: frame, leading directions (2F, q), and the cells' centres (K, q) along them."""
-        seen = Stream(sample, room=self.room).measure(0)
+        some = np.linspace(0, sample.shape[1] - 1, min(_LEARNT, sample.shape[1])).astype(np.int64)
+        seen = Stream(sample if len(some) == sample.shape[1] else picked(sample, some), room=self.room).measure(0)
         frame = Frame(seen.translations, seen.unit)
         directions = spectrum(seen)[1][:, :_DIRECTIONS]
         rng = np.random.default_rng([self._seed, 5])
