@@ -174,7 +174,10 @@ def _reconstruct_in_stages(tracks: Tracks, run: _Run, stages: Stages) -> Reconst
     }
     if mirror:
         diagnostics["mirror"] = mirror
-    result = replace(result, diagnostics=diagnostics, options=_all_options(run) | result.options)
+    options = _all_options(run) | result.options
+    for own, new in ((result.diagnostics, diagnostics), (result.options, options)):
+        own.clear()  # in place: a new reconstruction would look through all shapes again
+        own.update(new)
     result = _of_all_points(result, repaired)
     if answer is None and settings.pipeline.shapes_file is not None:
         return _to_file(result, settings.pipeline.shapes_file)

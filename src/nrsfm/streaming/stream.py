@@ -47,6 +47,7 @@ SAMPLE = 50_000
 
 _DIRECTIONS = 10  # leading directions of the sample in which its cells are found
 _LEARNT = 20_000  # points of the sample that teach directions and centres
+_EXPANDED = 8192  # points whose shapes are made at once: more leave the cache
 _OFFSET = 4096  # points whose mean is the provisional offset
 _SHARE = 8  # the sample takes at most this part of the memory for blocks
 
@@ -243,7 +244,10 @@ class Stream:
         wanted: dict[str, Any] = {"shapes": ((self.frames, self.count, 3), dtype)}
         if deviations is not None:
             wanted["depth_deviation"] = ((self.frames, self.count), np.dtype(np.float32))
-        walk = self._plan(len(compressed.maps), self.target.granule(self.frames))
+        granule = self.target.granule(self.frames)
+        walk = self._plan(len(compressed.maps), granule)
+        if granule == 1:
+            walk = replace(walk, part=min(walk.part, _EXPANDED))
         with self.target as target:
             writers = target.make(wanted)
             work = functools.partial(
