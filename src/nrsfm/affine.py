@@ -39,11 +39,13 @@ from nrsfm.compression import (
 from nrsfm.gauge import GaugeOptions, fix_gauge
 from nrsfm.manifolds.rotations import whole_rotations
 from nrsfm.methods.base import Method, Problem, Solution
+from nrsfm.numerics.arrays import on_host
 from nrsfm.numerics.noise import shrink_singular_values
 from nrsfm.numerics.threads import single_thread
 from nrsfm.options import option
 from nrsfm.progress import Report
 from nrsfm.reconstruction import Reconstruction
+from nrsfm.streaming.on_device import OnDevice
 from nrsfm.streaming.runners import Threads
 from nrsfm.streaming.stream import Stream
 from nrsfm.uncertainty import UncertaintyOptions, depth_deviation, deviation_model
@@ -183,7 +185,7 @@ def reconstruct_affine(
             residual=compressed.residual,
             ordered=pipeline.ordered,
         )
-        solve = partial(method.solve, problem, settings.method, rng, monitor)
+        solve = partial(_solved, points, method, problem, settings.method, rng, monitor)
         solution = stages.kept(method.name, solve, rng=rng)
     warnings = [*_on_lines(measured), *cameras.warnings, *solution.warnings]
     reference = cameras.rotations
@@ -252,6 +254,22 @@ def _compressed(
         return points.compress(measured, noise=noise, tolerance=tolerance, told=monitor)
     labels = kmeans(coordinates, cells, rng)
     return compress(measured, labels, noise=noise, tolerance=tolerance, apply=several.map)
+
+
+def _solved(
+    points: np.ndarray | Stream,
+    method: Method,
+    problem: Problem,
+    options: Any,
+    rng: np.random.Generator,
+    monitor: Callable[[float], None],
+) -> Solution:
+    """The method's solution, on the host; found where the points are if the method can be there."""
+    if isinstance(points, OnDevice) and getattr(method, "on_device", False):
+        problem = problem.beside(points.points)
+    solution = method.solve(problem, options, rng, monitor)
+    solution.shapes = on_host(solution.shapes)
+    return solution
 
 
 def _expanded(

@@ -6,37 +6,44 @@ and self-expression are defined. All functions take a stack (K, d, p).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from nrsfm.numerics.arrays import namespace_of
 
-def grassmann_points(blocks: np.ndarray, dimension: int, complete: bool = True) -> np.ndarray:
+_TINY = float(np.finfo(float).tiny)
+
+
+def grassmann_points(blocks: Any, dimension: int, complete: bool = True) -> Any:
     """Orthonormal bases (K, d, p) of the ``dimension`` leading left singular vectors of each (d, n) block.
 
-    ``blocks`` is (K, d, n); columns may be padded with zeros. Where a block has lower rank than ``dimension`` the
-    basis is completed by fixed directions orthogonal to it, so that it is always a point of G(p, d).
+    ``blocks`` is (K, d, n), on a device or not; columns may be padded with zeros. Where a block has lower rank than
+    ``dimension`` the basis is completed by fixed directions orthogonal to it, so that it is always a point of G(p, d).
     With ``complete`` false its last columns are zero instead: a subspace of lower dimension, the same in any
     orthonormal coordinates of the ambient space.
     Source: f_g of the paper, [Φ, Σ, V] = svds(X, p), here by the smaller of the two Gram matrices.
     """
+    xp = namespace_of(blocks)
     count, ambient, columns = blocks.shape
     dimension = min(dimension, ambient)  # the whole space is the largest subspace there is
     if ambient <= columns:
-        values, leading = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))
-        leading = leading * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        values, leading = xp.linalg.eigh(blocks @ xp.matrix_transpose(blocks))
+        leading = leading * xp.sqrt(xp.clip(values, 0.0, None))[:, None, :]
     else:
-        values, right = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)
+        values, right = xp.linalg.eigh(xp.matrix_transpose(blocks) @ blocks)
         leading = blocks @ right
     take = min(dimension, values.shape[1])
-    values = values[:, ::-1]
-    bases = np.zeros((count, ambient, dimension))
-    bases[:, :, :take] = leading[:, :, ::-1][:, :, :take]
-    live = np.zeros((count, dimension), dtype=bool)
-    live[:, :take] = values[:, :take] > 1e-10 * np.maximum(values[:, :1], np.finfo(float).tiny)
-    filler = np.eye(ambient, dimension)
-    bases = np.where(live[:, None, :], bases, filler * np.sqrt(np.maximum(values[:, :1, None], 1.0)))
+    values = xp.flip(values, axis=1)
+    bases = xp.zeros((count, ambient, dimension), dtype=leading.dtype, device=leading.device)
+    bases[:, :, :take] = xp.flip(leading, axis=2)[:, :, :take]
+    live = xp.zeros((count, dimension), dtype=xp.bool, device=leading.device)
+    live[:, :take] = values[:, :take] > 1e-10 * xp.clip(values[:, :1], _TINY, None)
+    filler = xp.eye(ambient, dimension, dtype=leading.dtype, device=leading.device)
+    bases = xp.where(live[:, None, :], bases, filler * xp.sqrt(xp.clip(values[:, :1, None], 1.0, None)))
     # QR restores orthonormality to rounding and keeps the span of the leading columns.
-    bases = np.linalg.qr(bases)[0]
-    return bases if complete else bases * live[:, None, :]
+    bases = xp.linalg.qr(bases)[0]
+    return bases if complete else bases * xp.astype(live, bases.dtype)[:, None, :]
 
 
 def projection_kernel(points: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from nrsfm.numerics.arrays import beside, namespace_of, on_host
 from nrsfm.numerics.low_rank import threshold_over_frames
 from nrsfm.options import option
 
@@ -51,12 +52,14 @@ class Problem:
     noise that is left in the tracks after the compression has shrunk it, root mean square per real coordinate.
     ``ordered``: the frames follow one another in time. A method that needs every point gets the real tracks, in the
     order of the input, in place of virtual ones.
+
+    Tracks and rotations of a method with ``on_device`` may be arrays of another library, on a device.
     """
 
-    tracks: np.ndarray
+    tracks: Any
     offsets: np.ndarray
     sizes: np.ndarray
-    rotations: np.ndarray
+    rotations: Any
     noise: float
     cameras_known: bool = True
     residual: float = 0.0
@@ -68,43 +71,49 @@ class Problem:
         return int(self.sizes.sum())
 
     @property
-    def initial_shapes(self) -> np.ndarray:
+    def initial_shapes(self) -> Any:
         """S = pinv(R) W = Rᵀ W, (F, 3, N)."""
-        return self.rotations.transpose(0, 2, 1) @ self.tracks
+        return namespace_of(self.tracks).matrix_transpose(self.rotations) @ self.tracks
 
-    def merged(self, level: float = 0.0) -> tuple[Problem, np.ndarray]:
+    def beside(self, like: Any) -> Problem:
+        """The same problem with tracks and rotations where an array is, in its library."""
+        return replace(self, tracks=beside(self.tracks, like), rotations=beside(self.rotations, like))
+
+    def merged(self, level: float = 0.0) -> tuple[Problem, Any]:
         """The same problem with all cells compressed into one, and the map (r, N) back to their columns.
 
         Exact for whatever treats all columns alike, and smaller: N columns have at most 2F dimensions. ``level`` cuts
         as many trailing directions as together hold at most that root mean square per real coordinate.
         """
-        flat = self.tracks.reshape(2 * len(self.tracks), -1)
-        left, values, right = np.linalg.svd(flat, full_matrices=False)
+        xp, (frames, _, count) = namespace_of(self.tracks), self.tracks.shape
+        left, along, right = xp.linalg.svd(xp.reshape(self.tracks, (2 * frames, count)), full_matrices=False)
+        values = on_host(along)
         live = values > 1e-12 * max(float(values[0]), np.finfo(float).tiny)
         if level > 0:
-            live &= np.cumsum(values[::-1] ** 2)[::-1] > level**2 * len(flat) * self.points
-        live[0] = True
-        tracks = (left[:, live] * values[live]).reshape(len(self.tracks), 2, -1)
-        offsets, sizes = np.array([0, tracks.shape[2]]), np.array([self.points])
-        return replace(self, tracks=tracks, offsets=offsets, sizes=sizes), right[live]
+            live &= np.cumsum(values[::-1] ** 2)[::-1] > level**2 * 2 * frames * self.points
+        kept = max(1, int(np.count_nonzero(live)))  # they are descending: the first ones
+        tracks = xp.reshape(left[:, :kept] * along[:kept], (frames, 2, kept))
+        offsets, sizes = np.array([0, kept]), np.array([self.points])
+        return replace(self, tracks=tracks, offsets=offsets, sizes=sizes), right[:kept, :]
 
 
 def cut_by(whole: Problem, merged: Problem) -> float:
     """What merging has cut from the tracks: root mean square per real coordinate, in units of the tracks' own."""
-    lost = float(np.sum(whole.tracks**2) - np.sum(merged.tracks**2))
-    return float(np.sqrt(max(lost, 0.0) / (2 * len(whole.tracks) * whole.points)))
+    xp = namespace_of(whole.tracks)
+    lost = float(xp.sum(whole.tracks**2) - xp.sum(merged.tracks**2))
+    return float(np.sqrt(max(lost, 0.0) / (2 * whole.tracks.shape[0] * whole.points)))
 
 
 @dataclass
 class Solution:
-    """What a method found: ``shapes`` (F, 3, N).
+    """What a method found: ``shapes`` (F, 3, N), where the tracks of the problem are.
 
     ``groups`` (K,): subspace label of each cell, or None. ``rotations`` (F, 2, 3) and ``scales`` (F,): only of a
     method that estimates cameras together with shapes, and only if they were not known; ``tracks[f] ≈ scales[f] ·
     rotations[f] @ shapes[f]`` then.
     """
 
-    shapes: np.ndarray
+    shapes: Any
     groups: np.ndarray | None
     iterations: int
     stop_reason: str
@@ -122,7 +131,8 @@ class Method(Protocol):
     """One method of the comparison. Instances are stateless; each lives in its own file.
 
     ``cost`` is in F, P, K. ``camera_method`` is the camera estimator of the publication, used unless the caller names
-    another. ``denoise``: whether the compression shrinks noise by default (not part of any published method).
+    another. ``denoise``: whether the compression shrinks noise by default (not part of any published method). A method
+    that also has ``on_device = True`` works on problems whose arrays are on a device; others are given NumPy's.
     """
 
     name: str
@@ -189,13 +199,16 @@ class LowRankOptions:
 
 @dataclass
 class LowRankState:
-    """S, S♯, the multiplier L₁ and the penalty β of the iteration that all three methods run."""
+    """S, S♯, the multiplier L₁ and the penalty β of the iteration that all three methods run.
+
+    Arrays are where the tracks of the problem are, on a device or not.
+    """
 
     problem: Problem
     options: LowRankOptions
-    shapes: np.ndarray
-    low_rank: np.ndarray
-    multiplier: np.ndarray
+    shapes: Any
+    low_rank: Any
+    multiplier: Any
     gamma: float
     beta: float
     rank: int = 0
@@ -206,12 +219,14 @@ class LowRankState:
     def start(cls, problem: Problem, options: LowRankOptions) -> LowRankState:
         """S = pinv(R) W, S♯ = f(S), L₁ = 0."""
         shapes = problem.initial_shapes
+        xp = namespace_of(shapes)
         relative = options.gamma if options.gamma is not None else max(0.003, 0.15 * problem.noise)
         gamma = relative * float(np.sqrt(problem.points))
-        largest = float(np.linalg.norm(shapes.reshape(len(shapes), -1), 2))
+        largest = float(xp.linalg.matrix_norm(xp.reshape(shapes, (shapes.shape[0], -1)), ord=2))
         factor = options.reweight if options.reweight > 0 else 1.0
         beta = options.beta if options.beta is not None else gamma * factor / max(largest, np.finfo(float).tiny)
-        return cls(problem, options, shapes, shapes.copy(), np.zeros_like(shapes), gamma, min(beta, 1.0))
+        low_rank, multiplier = xp.asarray(shapes, copy=True), xp.zeros_like(shapes)
+        return cls(problem, options, shapes, low_rank, multiplier, gamma, min(beta, 1.0))
 
     def update_shapes(self) -> None:
         """S ← (RᵀR + βI)⁻¹ (β(f⁻¹(S♯) + f⁻¹(L₁)/β) + RᵀW).
@@ -223,7 +238,7 @@ class LowRankState:
         target += self.low_rank
         residual = self.problem.tracks - rows @ target
         residual /= 1.0 + self.beta
-        target += rows.transpose(0, 2, 1) @ residual
+        target += namespace_of(rows).matrix_transpose(rows) @ residual
         self.shapes = target
 
     def update_low_rank(self) -> None:
@@ -241,13 +256,14 @@ class LowRankState:
         The paper's gap is a largest entry; here it is a root mean square per real coordinate, which the
         compression leaves unchanged.
         """
+        xp = namespace_of(self.shapes)
         step = self.low_rank - self.shapes
-        size = float(np.sqrt(np.sum(step * step) / (3 * len(step) * self.problem.points)))
+        size = float(np.sqrt(float(xp.sum(step * step)) / (3 * step.shape[0] * self.problem.points)))
         step *= self.beta
         self.multiplier += step
         residual = self.problem.tracks - self.problem.rotations @ self.low_rank
         gap = max(size, other_gap)
-        self.history["energy"].append(0.5 * float(np.sum(residual * residual)) + self.gamma * self.nuclear)
+        self.history["energy"].append(0.5 * float(xp.sum(residual * residual)) + self.gamma * self.nuclear)
         self.history["gap"].append(gap)
         self.history["rank"].append(float(self.rank))
         self.history["beta"].append(self.beta)

@@ -33,6 +33,7 @@ class Bmm:
     needs = Needs()
     camera_method = "intersection"
     denoise = True
+    on_device = True
     Options = BmmOptions
 
     def cells(self, options: BmmOptions, points: int, frames: int) -> int:

@@ -4,12 +4,13 @@ minimise   ½‖W − RS‖² + β₁‖χ − χC̃‖² + β₂‖S♯‖_* + 
 
 with Θ_i the image of the local subspace Φ_i on a Grassmann manifold of lower dimension d̃, by the map Δ that keeps
 neighbouring subspaces together. Reconstruction happens on the original manifold, grouping on the lower one.
-Source: the paper, Algorithm 2. Departures as in Algorithm 1's file.
+Source: the paper, Algorithm 2. Departures as in Algorithm 1's file, as is what happens on a device.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,7 @@ class LowerManifold:
         self.dimension: int | None = None
         self._spatial, self._options = spatial, options
 
-    def kernel(self, shapes: np.ndarray) -> np.ndarray:
+    def kernel(self, shapes: Any) -> np.ndarray:
         """Γ of the projected points Θ; of the points Φ themselves where the projection is off."""
         points = self._spatial.grassmann_points(shapes)
         if not self._options.projection:
@@ -78,6 +79,7 @@ class GeometryAware:
     needs = Needs()
     camera_method = "intersection"
     denoise = True
+    on_device = True
     Options = GeometryAwareOptions
 
     def cells(self, options: GeometryAwareOptions, points: int, frames: int) -> int:

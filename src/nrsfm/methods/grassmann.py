@@ -8,6 +8,8 @@ of S♯), S and S♯ held on them. Source: the paper, Algorithm 1.
 Departures, each an option: reweighted nuclear norm; Grassmann points and groups are updated every few iterations;
 dimensions and the number of groups follow the noise. A cell keeps its own Grassmann point for grouping, and shares
 its group's subspace for reconstruction, so that groups can change again.
+
+Shapes may be on a device: S, S♯ and what is done to them are there; Γ, C and groups, of cells only, are on the host.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from nrsfm.manifolds.local import ColumnCells, refine_groups
 from nrsfm.manifolds.self_expression import SelfExpression
 from nrsfm.methods.base import LowRankState, Monitor, Needs, Problem, Solution, run_iterations
 from nrsfm.methods.local import SpatialOptions, SpatialSubspaces, default_cells, regrouped
+from nrsfm.numerics.arrays import namespace_of, on_host, taken
 from nrsfm.options import option
 
 # Singular values of a group of shapes are kept down to this share of σ√(3P). Cutting at the noise itself tears the
@@ -64,12 +67,12 @@ class TemporalSubspaces:
 
     def __init__(self, state: LowRankState, options: GrassmannOptions, rng: np.random.Generator) -> None:
         shapes, problem = state.low_rank, state.problem
-        frames = len(shapes)
+        frames = shapes.shape[0]
         count = min(options.temporal_cells, frames)
         if options.temporal_kind == "consecutive":
             labels = np.arange(frames) * count // frames
         else:
-            labels = kmeans(shapes.reshape(frames, -1), count, rng)
+            labels = kmeans(on_host(shapes).reshape(frames, -1), count, rng)
         self._labels = labels
         self._order = np.argsort(labels, kind="stable")
         self._inverse = np.argsort(self._order)
@@ -84,22 +87,22 @@ class TemporalSubspaces:
         self.groups = groups
         self._columns = self.cells.columns_of_groups(groups)
 
-    def _matrix(self, shapes: np.ndarray) -> np.ndarray:
+    def _matrix(self, shapes: Any) -> Any:
         """S♯ (3N, F) with the columns of each cell side by side."""
-        return shapes.reshape(len(shapes), -1)[self._order].T
+        return taken(namespace_of(shapes).reshape(shapes, (shapes.shape[0], -1)), self._order, 0).T
 
-    def grassmann_points(self, shapes: np.ndarray) -> np.ndarray:
-        """Φ_t (K_t, 3N, p_t)."""
+    def grassmann_points(self, shapes: Any) -> np.ndarray:
+        """Φ_t (K_t, 3N, p_t), on the host."""
         # Not completed: fixed directions among virtual points are not those among the real ones.
-        return self.cells.points(self._matrix(shapes), self.dimension, complete=False)
+        return on_host(self.cells.points(self._matrix(shapes), self.dimension, complete=False))
 
-    def refine(self, shapes: np.ndarray) -> np.ndarray:
+    def refine(self, shapes: Any) -> Any:
         """S♯ with every group of frames brought to rank p_t."""
         if self._options.temporal_dimension is None and self._edge == 0:
             return shapes
         dimensions = [self._options.temporal_dimension] * len(self._columns)
         refined = refine_groups(self._matrix(shapes), self._columns, dimensions, self._edge)
-        return refined.T[self._inverse].reshape(shapes.shape)
+        return namespace_of(refined).reshape(taken(refined.T, self._inverse, 0), shapes.shape)
 
     def chosen(self) -> dict[str, Any]:
         """The frames at which another group begins."""
@@ -121,7 +124,7 @@ class _SelfExpressed:
     def __init__(
         self,
         subspaces: SpatialSubspaces | TemporalSubspaces | None,
-        shapes: np.ndarray,
+        shapes: Any,
         weight: float,
         nuclear_weight: float,
     ) -> None:
@@ -129,7 +132,7 @@ class _SelfExpressed:
         kernel = np.eye(1) if subspaces is None else projection_kernel(subspaces.grassmann_points(shapes))
         self._express = SelfExpression(kernel, weight, nuclear_weight)
 
-    def update(self, shapes: np.ndarray, beta: float, refresh: bool) -> np.ndarray:
+    def update(self, shapes: Any, beta: float, refresh: bool) -> Any:
         """C, then Γ of the new Grassmann points, then the refined shapes, then J."""
         if self._subspaces is None:
             return shapes
@@ -161,6 +164,7 @@ class Grassmann:
     needs = Needs()
     camera_method = "intersection"
     denoise = True
+    on_device = True
     Options = GrassmannOptions
 
     def cells(self, options: GrassmannOptions, points: int, frames: int) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from nrsfm.clustering import spectral_groups
 from nrsfm.manifolds.local import ColumnCells, refine_groups, signal_rank
 from nrsfm.methods.base import LowRankOptions, Problem, cut_by
+from nrsfm.numerics.arrays import namespace_of, on_host
 from nrsfm.options import option
 
 LONG = 500
@@ -87,16 +88,17 @@ class SpatialSubspaces:
     def __init__(self, problem: Problem, options: SpatialOptions, rng: np.random.Generator) -> None:
         self.cells = ColumnCells(problem.offsets)
         self._problem, self._options, self._rng = problem, options, rng
-        self._tracks = problem.tracks.reshape(-1, problem.tracks.shape[2])
+        self._tracks = on_host(problem.tracks).reshape(-1, problem.tracks.shape[2])
         chosen = options.spatial_dimension
         self.truncates = problem.noise > 0 or chosen is not None
-        self.working, self._back, self.cut = problem, np.zeros((0, 0)), 0.0
+        self.working, self.cut = problem, 0.0
+        self._back: Any = None
         if not self.truncates:
-            self.working, self._back = problem.merged(MERGED if len(problem.tracks) > LONG else 0.0)
+            self.working, self._back = problem.merged(MERGED if problem.tracks.shape[0] > LONG else 0.0)
             self.cut = cut_by(problem, self.working)
         narrowest = int(np.diff(problem.offsets).min())
         self.dimension = int(np.clip(narrowest, 1, 6)) if chosen is None else chosen
-        self.dimension = min(self.dimension, 3 * len(problem.tracks))
+        self.dimension = min(self.dimension, 3 * problem.tracks.shape[0])
         self._set_groups(np.arange(len(self.cells)))
 
     def _set_groups(self, groups: np.ndarray) -> None:
@@ -114,19 +116,20 @@ class SpatialSubspaces:
                 for c, size in zip(self._columns, sizes, strict=True)
             ]
 
-    def grassmann_points(self, shapes: np.ndarray) -> np.ndarray:
-        """Φ (K, 3F, p) of the cells of S (F, 3, N): f_g."""
-        return self.cells.points(self.expand(shapes).reshape(3 * len(shapes), -1), self.dimension)
+    def grassmann_points(self, shapes: Any) -> np.ndarray:
+        """Φ (K, 3F, p) of the cells of S (F, 3, N), on the host: f_g."""
+        return on_host(self.cells.points(_flat(self.expand(shapes)), self.dimension))
 
-    def expand(self, shapes: np.ndarray) -> np.ndarray:
+    def expand(self, shapes: Any) -> Any:
         """Shapes of the working problem to shapes of the cells' columns."""
         return shapes if self.truncates else shapes @ self._back
 
-    def refine(self, shapes: np.ndarray) -> np.ndarray:
+    def refine(self, shapes: Any) -> Any:
         """S with every group's columns brought to rank p: f_s."""
         if not self.truncates:
             return shapes
-        return refine_groups(shapes.reshape(3 * len(shapes), -1), self._columns, self.dimensions).reshape(shapes.shape)
+        refined = refine_groups(_flat(shapes), self._columns, self.dimensions)
+        return namespace_of(refined).reshape(refined, shapes.shape)
 
     def chosen(self) -> dict[str, Any]:
         """What was chosen from the data: cells, groups and dimensions."""
@@ -148,3 +151,8 @@ class SpatialSubspaces:
         groups = regrouped(self.groups, affinity, self._rng, self._options.spatial_groups, span)
         if not np.array_equal(groups, self.groups):
             self._set_groups(groups)
+
+
+def _flat(shapes: Any) -> Any:
+    """S (3F, N) of shapes (F, 3, N)."""
+    return namespace_of(shapes).reshape(shapes, (3 * shapes.shape[0], -1))

@@ -7,13 +7,16 @@ thresholding S♯ multiplies X by an F×F matrix from the left, or by a 3N×3N o
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from nrsfm.numerics.arrays import beside, namespace_of, on_host, taken
+
 
 def threshold_over_frames(
-    shapes: np.ndarray, threshold: float, reweight: float | None = None, rank: int | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+    shapes: Any, threshold: float, reweight: float | None = None, rank: int | None = None
+) -> tuple[Any, np.ndarray]:
     """Soft-threshold the singular values of S♯; returns shapes (F, 3, N) and the new singular values.
 
     ``reweight`` ε replaces the threshold τ of σ_i by τ·εσ₁/(σ_i + εσ₁) (reweighted nuclear norm), which leaves
@@ -32,18 +35,19 @@ def threshold_over_frames(
     return shrink_over_frames(shapes, shrunk)
 
 
-def shrink_over_frames(shapes: np.ndarray, rule: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def shrink_over_frames(shapes: Any, rule: Callable[[np.ndarray], np.ndarray]) -> tuple[Any, np.ndarray]:
     """Replace the singular values of S♯ by ``rule(values)``; returns shapes (F, 3, N) and the new singular values.
 
-    ``values`` are descending, min(F, 3N) of them; the rule gives as many, none below 0.
+    ``values`` are descending, min(F, 3N) of them; the rule gives as many, none below 0. Shapes may be on a device; the
+    singular values are looked at on the host.
     """
-    flat = shapes.reshape(len(shapes), -1)
-    by_frames = len(flat) <= flat.shape[1]
-    gram = flat @ flat.T if by_frames else flat.T @ flat
-    squares, vectors = np.linalg.eigh(gram)
-    values, vectors = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
+    xp = namespace_of(shapes)
+    flat = xp.reshape(shapes, (shapes.shape[0], -1))
+    by_frames = flat.shape[0] <= flat.shape[1]
+    squares, vectors = xp.linalg.eigh(flat @ flat.T if by_frames else flat.T @ flat)
+    values = np.sqrt(np.maximum(on_host(squares)[::-1], 0.0))
     kept = np.where(values > 0, rule(values), 0.0)
-    live = kept > 0
-    basis, gain = vectors[:, live], kept[live] / values[live]
+    live = np.flatnonzero(kept > 0)
+    basis, gain = taken(vectors, len(values) - 1 - live, 1), beside(kept[live] / values[live], vectors)
     out = (basis * gain) @ (basis.T @ flat) if by_frames else ((flat @ basis) * gain) @ basis.T
-    return out.reshape(shapes.shape), kept
+    return xp.reshape(out, shapes.shape), kept
