@@ -127,6 +127,23 @@ def test_turns_that_follow_the_deformation_are_given_back():
     assert roughness(path) < roughness(estimated)
 
 
+@pytest.mark.parametrize("frames", [100, 1500])
+def test_of_many_frames_a_smaller_gain_is_believed(frames):
+    """The camera jerks on its own, and the object frames follow the deformation besides: a sixth of the roughness."""
+    rng = np.random.default_rng(6)
+    shapes, weights = deforming(frames, 40, rng)
+    cameras = turned(np.radians(rng.standard_normal((frames, 3)))) @ swing(frames)
+    wrong = turned(weights @ rng.standard_normal((2, 3)) * 0.1)
+    moved, _, report = fix_gauge(wrong @ shapes, cameras @ np.swapaxes(wrong, 1, 2))
+    error = shape_error(moved.transpose(0, 2, 1), shapes.transpose(0, 2, 1), "global")
+    assert report["gain"] < 0.2
+    if frames == 100:
+        assert report["chosen"] == "cameras"  # by chance, too, so few frames would show as much
+    else:
+        assert report["chosen"] == "steady"
+        assert error < 0.001
+
+
 def test_a_camera_that_jerks_on_its_own_is_left_alone():
     rng = np.random.default_rng(4)
     shapes, _ = deforming(80, 40, rng)

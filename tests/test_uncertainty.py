@@ -125,7 +125,8 @@ def test_shapes_that_the_tracks_do_not_support_are_uncertain(scene):
     assert np.sqrt(np.mean(sigma.astype(float) ** 2)) > 0.5 * np.sqrt(np.mean(errors**2))
 
 
-def test_point_quadratic_against_dense_matrices(scene):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_point_quadratic_against_dense_matrices(scene, workers):
     _, _, compressed, shapes = scene
     basis = uncertainty._leading_directions(shapes)
     factor = np.random.default_rng(3).standard_normal((len(basis), 3))
@@ -137,7 +138,7 @@ def test_point_quadratic_against_dense_matrices(scene):
         ] @ compressed.measurements.columns(members)
     expected = np.sum((factor.T @ basis @ rows) ** 2, axis=0)
     fields = uncertainty._fields(compressed, basis, factor @ factor.T)
-    np.testing.assert_allclose(uncertainty._point_quadratic(compressed, fields), expected, rtol=1e-6)
+    np.testing.assert_allclose(uncertainty._point_quadratic(compressed, fields, workers), expected, rtol=1e-6)
 
 
 def test_noise_gain_is_what_noise_does_to_the_depth(scene):

@@ -31,6 +31,7 @@ from nrsfm.numerics.noise import (
     risk_of_shrinking,
     shrink_singular_values,
 )
+from nrsfm.numerics.threads import side_by_side
 
 _CHUNK_BYTES = 4 * 2**20  # float64 working copy of a chunk of tracks
 _MANY_FRAMES = 512  # from here on chunks grow with the frames
@@ -202,17 +203,25 @@ class CompressedTracks:
     residual: float = 0.0
 
     def expand(self, shapes: np.ndarray, dtype: np.dtype) -> np.ndarray:
-        """Shapes (F, 3, N) of the virtual points to shapes (F, P, 3) of the real ones, in the tracks' unit."""
+        """Shapes (F, 3, N) of the virtual points to shapes (F, P, 3) of the real ones, in the tracks' unit.
+
+        Cells side by side, as many at a time as the linear-algebra library may use threads.
+        """
         frames, unit = self.measurements.frames, self.measurements.unit
         if not self.maps:
             return np.ascontiguousarray(shapes.transpose(0, 2, 1) * unit, dtype=dtype)
         out = np.empty((frames, self.measurements.count, 3), dtype=dtype)
         flat = shapes.reshape(3 * frames, -1) * unit
-        for k, members in enumerate(members_of_cells(self.labels, self.sizes)):
-            left = flat[:, self.offsets[k] : self.offsets[k + 1]]
+        every = members_of_cells(self.labels, self.sizes)
+
+        def fill(k: int) -> None:
+            left, members = flat[:, self.offsets[k] : self.offsets[k + 1]], every[k]
             for part in _chunks(frames, len(members)):
                 block = left @ (self.maps[k] @ self.measurements.columns(members[part]))
                 out[:, members[part]] = block.reshape(frames, 3, -1).transpose(0, 2, 1)
+
+        for _ in side_by_side(fill, range(len(every))):
+            pass
         return out
 
     def some(self, shapes: np.ndarray, most: int) -> np.ndarray:

@@ -16,6 +16,7 @@ shape with its mean lets a jaw turn the head. Nothing here changes R_f S_f; only
 it is the simpler account (the thresholds of :mod:`nrsfm.cameras.estimate`). Otherwise, with fewer than ``FEW`` frames,
 the mean: so few frames do not overdetermine a metric upgrade. Otherwise the one of cameras and mean with the steadier
 path, then ``steady`` from there, if that lowers the cross-validated change of turn by a quarter and turns no frame far.
+Of long sequences less of a gain is asked: there the cameras' jitter, which harms little, hides a steady gain that counts.
 The rank of the shapes decides nothing between cameras and mean: it always favours the mean, because every turning of
 the object costs rank.
 
@@ -42,6 +43,7 @@ FEW = 20  # frames, below which a path's changes say nothing
 ROUGHER = 1.05  # the mean must be steadier than the cameras by this factor to be taken
 COEFFICIENTS = 5  # r: leading coefficients of the deformation
 GAIN = 0.25  # least relative gain in the cross-validated mean square for ``steady`` to be taken
+LONG = 100  # frames from which on less of a gain is no chance: it falls with the root of their number
 LARGEST_TURN = 8.0  # degrees, root mean square: a larger ``steady`` turn is no correction
 _DIRECTIONS = 60  # leading directions over points in which gauges are judged
 _ROUNDS = 100
@@ -145,7 +147,7 @@ def _automatic(
     path = mean if name == "mean" else given
     steady, gain, turn = steady_gauge(seen, path)
     report |= {"chosen": name, "gain": gain, "steady_turn": turn}
-    if gain < GAIN or turn > LARGEST_TURN:
+    if gain < GAIN * min(1.0, np.sqrt(LONG / len(seen))) or turn > LARGEST_TURN:
         return path
     report["chosen"] = "steady"
     return steady

@@ -44,7 +44,7 @@ import numpy as np
 from nrsfm.cameras import LEAST_TURN, camera_turn
 from nrsfm.compression import CompressedTracks, members_of_cells
 from nrsfm.numerics.low_rank import threshold_over_frames
-from nrsfm.numerics.threads import single_thread
+from nrsfm.numerics.threads import blas_threads, side_by_side, single_thread
 from nrsfm.options import option
 
 INFLATION = 1.15
@@ -101,10 +101,11 @@ def depth_deviation(
     (F, P) float32 in the unit of the tracks, and a report: ``exchange`` (or the disagreement), ``missing``, ``noise``
     and ``mean`` are root mean squares of the parts in the same unit (after κ), ``harder`` is ρ.
     """
+    workers = blas_threads()
     with single_thread():
-        model, report = deviation_model(shapes, compressed, rotations, scales, noise, rng)
-        first = _point_quadratic(compressed, model.first)
-        deform = np.zeros(len(first)) if model.deform is None else _point_quadratic(compressed, model.deform)
+        model, report = deviation_model(shapes, compressed, rotations, scales, noise, rng, workers)
+        first = _point_quadratic(compressed, model.first, workers)
+        deform = np.zeros(len(first)) if model.deform is None else _point_quadratic(compressed, model.deform, workers)
         out, total = model.of(first, deform, compressed.labels)
     return out, report | {"mean": float(model.scale * np.sqrt(total / out.size))}
 
@@ -116,14 +117,18 @@ def deviation_model(
     scales: np.ndarray,
     noise: float,
     rng: np.random.Generator,
+    workers: int = 1,
 ) -> tuple[DeviationModel, dict[str, Any]]:
-    """What :func:`depth_deviation` makes the deviations of, and its report but for ``mean``; same parameters."""
+    """What :func:`depth_deviation` makes the deviations of, and its report but for ``mean``; same parameters.
+
+    So many ``workers`` recover shapes at the same time.
+    """
     frames, points = len(shapes), compressed.measurements.count
     basis = _leading_directions(shapes)
     small = shapes @ basis.T
     tracks = (compressed.factors / scales[:, None, None]) @ basis.T
     chosen = np.arange(0, frames, -(-frames // FRAMES))
-    scene = _Scene(small[chosen], tracks[chosen], rotations[chosen], noise)
+    scene = _Scene(small[chosen], tracks[chosen], rotations[chosen], noise, workers)
     errors, energies, deformed = scene.exchange(rng)
     harder = scene.harder(rng)
 
@@ -195,8 +200,11 @@ class DeviationModel:
 class _Scene:
     """Shapes (F, 3, k), tracks (F, 2, k) and cameras (F, 3, 3) in k directions, for recoveries of what is known."""
 
-    def __init__(self, shapes: np.ndarray, tracks: np.ndarray, rotations: np.ndarray, noise: float) -> None:
+    def __init__(
+        self, shapes: np.ndarray, tracks: np.ndarray, rotations: np.ndarray, noise: float, workers: int
+    ) -> None:
         self.shapes, self.tracks, self.rotations, self.noise = shapes, tracks, rotations, noise
+        self.workers = workers
         self.rows = rotations[:, :2]
         self.back = np.swapaxes(self.rows, 1, 2)
         self.planes = self.back @ self.rows
@@ -205,10 +213,15 @@ class _Scene:
         """Depth errors (n, k) of exchanged shapes, their energies (n,), and how much each deforms in the image (n,)."""
         errors, deformed = [], []
         mean = self.shapes.mean(axis=0)
-        for turn in range(max(2, -(-ENOUGH // (2 * len(self.shapes))))):
+        turns = range(max(2, -(-ENOUGH // (2 * len(self.shapes)))))
+        exchanged, targets = [], []
+        for turn in turns:
             shapes = self._shifted(rng, backwards=turn % 2 == 1)
-            true = self.rotations @ shapes
-            found = self.rotations @ recover(self.planes, self.back @ self._with_noise(true[:, :2], rng))
+            exchanged.append(shapes)
+            targets.append(self.back @ self._with_noise((self.rotations @ shapes)[:, :2], rng))
+        recovered = self._recovered([(self.planes, target) for target in targets])
+        for shapes, shapes_found in zip(exchanged, recovered, strict=True):
+            true, found = self.rotations @ shapes, self.rotations @ shapes_found
             errors.append((_turned(found, true) - true)[:, 2])
             seen = self.rows @ (shapes - mean)
             deformed.append(np.einsum("fin,fin->f", seen, seen) / 2.0)
@@ -236,9 +249,10 @@ class _Scene:
             planes = self.planes.copy()
             planes[held] = kept[held, :, None] * kept[held, None, :]
             exchanged = self.rows @ self._shifted(rng, backwards=False)
-            for i, tracks in enumerate((self.tracks, self._with_noise(exchanged, rng))):
-                target = self.back @ tracks
-                found = recover(planes, planes @ target)[held]
+            targets = [self.back @ tracks for tracks in (self.tracks, self._with_noise(exchanged, rng))]
+            recovered = self._recovered([(planes, planes @ target) for target in targets])
+            for i, (target, shapes) in enumerate(zip(targets, recovered, strict=True)):
+                found = shapes[held]
                 gap = np.einsum("fi,fin->fn", lost[held], found - target[held])
                 # A small turn about the kept direction shifts the lost one by the depth: no error of the shape.
                 depth = np.einsum("fi,fin->fn", self.rotations[held, 2], found)
@@ -248,6 +262,10 @@ class _Scene:
         if sums.min() <= 0:
             return 1.0
         return float(np.clip(np.sqrt(sums[0] / sums[1]), *HARDER))
+
+    def _recovered(self, problems: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+        """:func:`recover` of each pair of planes and target, side by side."""
+        return list(side_by_side(lambda problem: recover(*problem), problems, self.workers))
 
     def _shifted(self, rng: np.random.Generator, *, backwards: bool) -> np.ndarray:
         count = len(self.shapes)
@@ -357,13 +375,19 @@ def _fields(compressed: CompressedTracks, basis: np.ndarray, form: np.ndarray) -
     return tuple(part @ back for part, back in zip(own, compressed.maps, strict=True))
 
 
-def _point_quadratic(compressed: CompressedTracks, fields: tuple[np.ndarray, ...]) -> np.ndarray:
-    """The form (P,) of every point, from :func:`_fields`."""
+def _point_quadratic(compressed: CompressedTracks, fields: tuple[np.ndarray, ...], workers: int) -> np.ndarray:
+    """The form (P,) of every point, from :func:`_fields`; so many cells at a time."""
     if not compressed.maps:
         return np.asarray(np.sum(fields[0] ** 2, axis=0))
     out = np.empty(compressed.measurements.count)
-    for left, members in zip(fields, members_of_cells(compressed.labels, compressed.sizes), strict=True):
+
+    def fill(cell: tuple[np.ndarray, np.ndarray]) -> None:
+        left, members = cell
         for start in range(0, len(members), 4096):
             some = members[start : start + 4096]
             out[some] = np.sum((left @ compressed.measurements.columns(some)) ** 2, axis=0)
+
+    cells = zip(fields, members_of_cells(compressed.labels, compressed.sizes), strict=True)
+    for _ in side_by_side(fill, list(cells), workers):
+        pass
     return out

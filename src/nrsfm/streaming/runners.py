@@ -6,12 +6,11 @@ Sums are taken in the order of the shards, so that the same number of shards giv
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from nrsfm.numerics.threads import blas_threads, single_thread
+from nrsfm.numerics.threads import blas_threads, side_by_side
 from nrsfm.streaming.plan import Plan
 from nrsfm.streaming.targets import Writer
 
@@ -78,12 +77,7 @@ class Threads:
 
     def map(self, function: Callable[..., T], items: Sequence[Any]) -> Iterator[T]:
         """``function(item)`` of every item, in order."""
-        with single_thread():
-            if self.workers == 1 or len(items) == 1:
-                yield from map(function, items)
-                return
-            with ThreadPoolExecutor(self.workers) as pool:
-                yield from pool.map(function, items)
+        return side_by_side(function, items, self.workers)
 
     def sums(
         self, work: Callable[..., Any], shards: Sequence[Shard], own: str, summed: Sequence[str], told: Tell | None
