@@ -146,13 +146,13 @@ def _difference(
     frames: Any, reference: int, f: int, pixels: np.ndarray, points: np.ndarray, visible: np.ndarray
 ) -> float:
     """Mean absolute difference of grey levels (of 255) to the reference, over visible points."""
-    import cv2
+    from scipy.ndimage import map_coordinates
 
     if not visible.any():
         return float("nan")
     first, image = frames.grey(reference), frames.grey(f)
-    x, y = points[visible].astype(np.float32).T
-    there = cv2.remap(image, x[None], y[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+    x, y = points[visible].T
+    there = map_coordinates(image, [y, x], order=1, mode="nearest")
     here = first[pixels[visible, 1], pixels[visible, 0]]
     return float(255 * np.abs(there - here).mean())
 

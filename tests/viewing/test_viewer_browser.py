@@ -215,6 +215,35 @@ def test_normals_and_the_order_of_triangles(browser, served):
     assert worked_out(ordered) < 1.0 < 2.5 < worked_out(shuffled)
 
 
+def test_a_coarser_surface_has_half_the_triangles_and_the_same_outline(browser, served):
+    rows, columns = 30, 40
+    y, x = np.mgrid[:rows, :columns]
+    rng = np.random.default_rng(0)
+    points = np.zeros((rows * columns, 4), np.int16)
+    points[:, 0], points[:, 1] = (np.stack([x, y]).reshape(2, -1) * 100 + rng.integers(-30, 30, (2, rows * columns)))[:]
+    first = (y * columns + x)[:-1, :-1].ravel()
+    faces = np.concatenate(
+        [
+            np.stack([first, first + 1, first + columns], 1),
+            np.stack([first + 1, first + columns + 1, first + columns], 1),
+        ]
+    )
+    with page_of(browser, served) as page:
+        fewer = np.array(page.evaluate("""async ([faces, positions]) => {
+            const { coarser } = await import("/coarse.js");
+            return Array.from(coarser(Uint32Array.from(faces), Int16Array.from(positions)));
+        }""", [faces.ravel().tolist(), points.ravel().tolist()])).reshape(-1, 3)  # fmt: skip
+    assert 0.4 < len(fewer) / len(faces) < 0.6
+    assert (np.diff(np.sort(fewer, axis=1), axis=1) > 0).all()  # three different points each
+
+    def area(triangles):
+        a, b, c = points[triangles, :2].astype(float).transpose(1, 0, 2)
+        (ux, uy), (vx, vy) = (b - a).T, (c - a).T
+        return ((ux * vy - uy * vx) / 2).sum()
+
+    assert area(fewer) == pytest.approx(area(faces), rel=0.03)
+
+
 def worked_out(faces, room=16):
     """Points worked out per triangle by a card that keeps the last 16."""
     kept, count = [], 0

@@ -2,11 +2,13 @@
 
 import { fromRows, multiply, parallel, perspective, translation, turntable } from "./matrix.js";
 import { cameraLines } from "./cameras.js";
+import { coarser } from "./coarse.js";
 import { normalsOf } from "./normals.js";
 import { inGoodOrder } from "./order.js";
 
 const SLOPE = Math.tan((11 * Math.PI) / 180); // half the field of view
 const OVER = new Float32Array([-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]); // upside down
+const FEW_PER_PIXEL = 0.1; // triangles
 export const START = { yaw: 0.42, pitch: 0.16 };
 
 // One program for each way to colour, lit or not: without a graphics card every step in it counts.
@@ -14,11 +16,11 @@ const vertexText = (kind, lit) => `#version 300 es
 #define ${kind.toUpperCase()}
 ${lit ? "#define LIT" : ""}
 in vec3 position;
-uniform mat4 model, view, clip;
+uniform mat4 whole;
 uniform float pointScale, pointLeast, pointMost;
 out mediump vec3 colour;
 #ifdef LIT
-in vec3 normal; uniform float lit;
+in vec3 normal; uniform mat3 turn; uniform float lit;
 #endif
 #ifdef PLAIN
 uniform vec3 plain;
@@ -33,8 +35,7 @@ in float stepOfScale; uniform vec3 grey; uniform sampler2D map;
 uniform vec3 depthRow; uniform vec2 depthRange; uniform sampler2D map;
 #endif
 void main() {
-  vec4 place = view * model * vec4(position, 1.0);
-  gl_Position = clip * place;
+  gl_Position = whole * vec4(position, 1.0);
   gl_PointSize = clamp(pointScale / gl_Position.w, pointLeast, pointMost);
 #ifdef PLAIN
   vec3 base = plain;
@@ -50,7 +51,7 @@ void main() {
   vec3 base = texelFetch(map, ivec2(int(share * 254.0 + 0.5), 0), 0).rgb;
 #endif
 #ifdef LIT
-  vec3 n = mat3(view) * (mat3(model) * normal);
+  vec3 n = turn * normal;
   n *= inversesqrt(max(dot(n, n), 1e-12));
   if (n.z < 0.0) n = -n;
   base *= mix(1.0, 0.40 + 0.44 * n.z + 0.24 * max(dot(n, vec3(-0.48, 0.62, 0.62)), 0.0), lit);
@@ -65,8 +66,8 @@ void main() {
   shown = vec4(colour, 1.0);
 }`;
 const LINE_VERTEX = `#version 300 es
-in vec3 position; uniform mat4 model, view, clip;
-void main() { gl_Position = clip * view * model * vec4(position, 1.0); }`;
+in vec3 position; uniform mat4 whole;
+void main() { gl_Position = whole * vec4(position, 1.0); }`;
 const LINE_FRAGMENT = `#version 300 es
 precision mediump float; uniform vec4 ink; out vec4 shown; void main() { shown = ink; }`;
 
@@ -101,6 +102,7 @@ export class Stage {
   setFaces(faces) {
     this.faces = inGoodOrder(faces, this.scene.points);
     this.faceBuffer = fill(this.gl, this.gl.ELEMENT_ARRAY_BUFFER, this.faces);
+    this.coarse = null;
   }
 
   setEdges(edges) {
@@ -169,9 +171,8 @@ export class Stage {
     const program = this.programFor(kind, lit);
     const { uniforms: u, attributes: a } = program;
     gl.useProgram(program.program);
-    gl.uniformMatrix4fv(u.model, false, model);
-    gl.uniformMatrix4fv(u.view, false, view);
-    gl.uniformMatrix4fv(u.clip, false, clip);
+    const placed = multiply(view, model), whole = multiply(clip, placed);
+    gl.uniformMatrix4fv(u.whole, false, whole);
     for (let at = 0; at < 4; at++) gl.disableVertexAttribArray(at);
 
     entry.buffer ??= fill(gl, gl.ARRAY_BUFFER, entry.data);
@@ -195,6 +196,7 @@ export class Stage {
       entry.normalBuffer ??= fill(gl, gl.ARRAY_BUFFER, normalsOf(entry.positions, this.faces));
       gl.bindBuffer(gl.ARRAY_BUFFER, entry.normalBuffer);
       point(gl, a.normal, 3, gl.BYTE, true, 4, 0);
+      gl.uniformMatrix3fv(u.turn, false, [0, 1, 2, 4, 5, 6, 8, 9, 10].map((k) => placed[k]));
       gl.uniform1f(u.lit, kind === "plain" ? 1 : 0.55); // where colours are numbers, light must not change them much
     }
 
@@ -204,8 +206,9 @@ export class Stage {
     gl.uniform1f(u.pointMost, 13 * look.size * this.ratio);
     if (look.shape === "surface" && this.faces) {
       gl.uniform1f(u.disc, 0);
-      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.faceBuffer);
-      gl.drawElements(gl.TRIANGLES, this.faces.length, gl.UNSIGNED_INT, 0);
+      const { buffer, count } = this.triangles(entry);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
+      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
       return;
     }
     const distance = look.parallel ? 1 : -view[14];
@@ -214,8 +217,20 @@ export class Stage {
     if (look.shape === "lines" && this.edges) {
       gl.uniform1f(u.disc, 0);
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.edgeBuffer);
-      this.thick(u.clip, clip, () => gl.drawElements(gl.LINES, this.edges.length, gl.UNSIGNED_INT, 0));
+      this.thick(u.whole, whole, () => gl.drawElements(gl.LINES, this.edges.length, gl.UNSIGNED_INT, 0));
     }
+  }
+
+  // All triangles, or half of them where the picture is coarse and they are hardly larger than its pixels.
+  triangles({ positions }) {
+    const { gl, faces, canvas } = this;
+    if (this.quality >= 1 || faces.length / 3 < canvas.width * canvas.height * FEW_PER_PIXEL)
+      return { buffer: this.faceBuffer, count: faces.length };
+    if (!this.coarse) {
+      const fewer = coarser(faces, positions);
+      this.coarse = { buffer: fill(gl, gl.ELEMENT_ARRAY_BUFFER, fewer), count: fewer.length };
+    }
+    return this.coarse;
   }
 
   programFor(kind, lit) {
@@ -228,9 +243,8 @@ export class Stage {
     const { gl, theme, cameraLines: lines } = this;
     const { uniforms: u, attributes: a } = this.lineProgram;
     gl.useProgram(this.lineProgram.program);
-    gl.uniformMatrix4fv(u.model, false, model);
-    gl.uniformMatrix4fv(u.view, false, view);
-    gl.uniformMatrix4fv(u.clip, false, clip);
+    const whole = multiply(clip, multiply(view, model));
+    gl.uniformMatrix4fv(u.whole, false, whole);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.cameraBuffer);
     point(gl, a.position, 3, gl.FLOAT, false, 0, 0);
     gl.enable(gl.BLEND);
@@ -242,15 +256,15 @@ export class Stage {
       gl.drawArrays(gl.LINE_STRIP, lines.path, this.scene.frames);
     }
     gl.uniform4f(u.ink, ...theme.accent, 1);
-    this.thick(u.clip, clip, () => gl.drawArrays(gl.LINES, frame * lines.each, lines.each));
+    this.thick(u.whole, whole, () => gl.drawArrays(gl.LINES, frame * lines.each, lines.each));
     gl.disable(gl.BLEND);
   }
 
   // WebGL's lines are one pixel wide: drawn again, a little beside, they are wider.
-  thick(place, clip, drawLines) {
+  thick(place, whole, drawLines) {
     const across = (1.4 * this.ratio) / this.canvas.width, down = (1.4 * this.ratio) / this.canvas.height;
     for (const [x, y] of [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) {
-      this.gl.uniformMatrix4fv(place, false, multiply(translation(x * across, y * down, 0), clip));
+      this.gl.uniformMatrix4fv(place, false, multiply(translation(x * across, y * down, 0), whole));
       drawLines();
     }
   }
