@@ -16,7 +16,7 @@ shape with its mean lets a jaw turn the head. Nothing here changes R_f S_f; only
 it is the simpler account (the thresholds of :mod:`nrsfm.cameras.estimate`). Otherwise, with fewer than ``FEW`` frames,
 the mean: so few frames do not overdetermine a metric upgrade. Otherwise the one of cameras and mean with the steadier
 path, then ``steady`` from there, if that lowers the cross-validated change of turn by a quarter and turns no frame far.
-Of long sequences less of a gain is asked: there the cameras' jitter, which harms little, hides a steady gain that counts.
+Of long sequences less of a gain is asked: there the cameras' jitter, which harms little, hides what does harm.
 The rank of the shapes decides nothing between cameras and mean: it always favours the mean, because every turning of
 the object costs rank.
 
