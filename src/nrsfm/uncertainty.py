@@ -103,7 +103,7 @@ def depth_deviation(
     """
     workers = blas_threads()
     with single_thread():
-        model, report = deviation_model(shapes, compressed, rotations, scales, noise, rng, workers)
+        model, report = deviation_model(shapes, compressed, rotations, scales, noise, rng)
         first = _point_quadratic(compressed, model.first, workers)
         deform = np.zeros(len(first)) if model.deform is None else _point_quadratic(compressed, model.deform, workers)
         out, total = model.of(first, deform, compressed.labels)
@@ -117,18 +117,14 @@ def deviation_model(
     scales: np.ndarray,
     noise: float,
     rng: np.random.Generator,
-    workers: int = 1,
 ) -> tuple[DeviationModel, dict[str, Any]]:
-    """What :func:`depth_deviation` makes the deviations of, and its report but for ``mean``; same parameters.
-
-    So many ``workers`` recover shapes at the same time.
-    """
+    """What :func:`depth_deviation` makes the deviations of, and its report but for ``mean``; same parameters."""
     frames, points = len(shapes), compressed.measurements.count
     basis = _leading_directions(shapes)
     small = shapes @ basis.T
     tracks = (compressed.factors / scales[:, None, None]) @ basis.T
     chosen = np.arange(0, frames, -(-frames // FRAMES))
-    scene = _Scene(small[chosen], tracks[chosen], rotations[chosen], noise, workers)
+    scene = _Scene(small[chosen], tracks[chosen], rotations[chosen], noise)
     errors, energies, deformed = scene.exchange(rng)
     harder = scene.harder(rng)
 
@@ -200,11 +196,8 @@ class DeviationModel:
 class _Scene:
     """Shapes (F, 3, k), tracks (F, 2, k) and cameras (F, 3, 3) in k directions, for recoveries of what is known."""
 
-    def __init__(
-        self, shapes: np.ndarray, tracks: np.ndarray, rotations: np.ndarray, noise: float, workers: int
-    ) -> None:
+    def __init__(self, shapes: np.ndarray, tracks: np.ndarray, rotations: np.ndarray, noise: float) -> None:
         self.shapes, self.tracks, self.rotations, self.noise = shapes, tracks, rotations, noise
-        self.workers = workers
         self.rows = rotations[:, :2]
         self.back = np.swapaxes(self.rows, 1, 2)
         self.planes = self.back @ self.rows
@@ -213,15 +206,10 @@ class _Scene:
         """Depth errors (n, k) of exchanged shapes, their energies (n,), and how much each deforms in the image (n,)."""
         errors, deformed = [], []
         mean = self.shapes.mean(axis=0)
-        turns = range(max(2, -(-ENOUGH // (2 * len(self.shapes)))))
-        exchanged, targets = [], []
-        for turn in turns:
+        for turn in range(max(2, -(-ENOUGH // (2 * len(self.shapes))))):
             shapes = self._shifted(rng, backwards=turn % 2 == 1)
-            exchanged.append(shapes)
-            targets.append(self.back @ self._with_noise((self.rotations @ shapes)[:, :2], rng))
-        recovered = self._recovered([(self.planes, target) for target in targets])
-        for shapes, shapes_found in zip(exchanged, recovered, strict=True):
-            true, found = self.rotations @ shapes, self.rotations @ shapes_found
+            true = self.rotations @ shapes
+            found = self.rotations @ recover(self.planes, self.back @ self._with_noise(true[:, :2], rng))
             errors.append((_turned(found, true) - true)[:, 2])
             seen = self.rows @ (shapes - mean)
             deformed.append(np.einsum("fin,fin->f", seen, seen) / 2.0)
@@ -249,10 +237,9 @@ class _Scene:
             planes = self.planes.copy()
             planes[held] = kept[held, :, None] * kept[held, None, :]
             exchanged = self.rows @ self._shifted(rng, backwards=False)
-            targets = [self.back @ tracks for tracks in (self.tracks, self._with_noise(exchanged, rng))]
-            recovered = self._recovered([(planes, planes @ target) for target in targets])
-            for i, (target, shapes) in enumerate(zip(targets, recovered, strict=True)):
-                found = shapes[held]
+            for i, tracks in enumerate((self.tracks, self._with_noise(exchanged, rng))):
+                target = self.back @ tracks
+                found = recover(planes, planes @ target)[held]
                 gap = np.einsum("fi,fin->fn", lost[held], found - target[held])
                 # A small turn about the kept direction shifts the lost one by the depth: no error of the shape.
                 depth = np.einsum("fi,fin->fn", self.rotations[held, 2], found)
@@ -262,10 +249,6 @@ class _Scene:
         if sums.min() <= 0:
             return 1.0
         return float(np.clip(np.sqrt(sums[0] / sums[1]), *HARDER))
-
-    def _recovered(self, problems: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
-        """:func:`recover` of each pair of planes and target, side by side."""
-        return list(side_by_side(lambda problem: recover(*problem), problems, self.workers))
 
     def _shifted(self, rng: np.random.Generator, *, backwards: bool) -> np.ndarray:
         count = len(self.shapes)

@@ -16,7 +16,7 @@ from nrsfm.cameras.options import CameraOptions
 from nrsfm.cameras.rigid import rigid_upgrade
 from nrsfm.cameras.triplets import LARGEST_RANK, ONE_SCALE_FRAMES
 from nrsfm.errors import InputError
-from nrsfm.numerics.threads import blas_threads, side_by_side, single_thread
+from nrsfm.numerics.threads import single_thread
 
 logger = logging.getLogger(__name__)
 
@@ -97,12 +97,11 @@ def estimate_cameras(
     if not np.isfinite(factor).all():
         raise InputError("factor: every entry must be finite, received NaN or infinity")
     report = progress or (lambda stage, fraction: None)
-    workers = blas_threads()
     # Matrices of some 100 rows: a BLAS with several threads was seen to take 10 to 80 times as long.
     with single_thread():
         if options.camera_method in PUBLISHED:
             return _published(factor, options, seed, report)
-        return _estimate(factor, options, seed, report, workers)
+        return _estimate(factor, options, seed, report)
 
 
 def _published(factor: np.ndarray, options: CameraOptions, seed: int, report: Progress) -> CameraEstimate:
@@ -136,7 +135,7 @@ def _hardly_turning(turn: float) -> list[str]:
     return [f"the camera hardly turns: {turn:.1f} degrees in all; depth and cameras are poorly determined"]
 
 
-def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Progress, workers: int) -> CameraEstimate:
+def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Progress) -> CameraEstimate:
     frames = len(factor) // 2
     basis = intersection.dominant_basis(
         factor, max(3 * (options.camera_rank or LARGEST_RANK), selection.VIRTUAL_POINTS)
@@ -148,9 +147,10 @@ def _estimate(factor: np.ndarray, options: CameraOptions, seed: int, report: Pro
     paths = [_path(basis, item) for item in solved]
     judge = selection.Judge(basis)
     rows: list[dict[str, Any]] = []
-    for item, criteria in zip(solved, side_by_side(judge.criteria, paths, workers), strict=True):
-        rows.append({"K": item.rank, "start": item.start, "cost": item.cost} | criteria)
-        report("cameras", 0.4 + 0.4 * len(rows) / len(solved))
+    for i, (item, path) in enumerate(zip(solved, paths, strict=True)):
+        row: dict[str, Any] = {"K": item.rank, "start": item.start, "cost": item.cost}
+        rows.append(row | judge.criteria(path))
+        report("cameras", 0.4 + 0.4 * (i + 1) / len(solved))
     exact = intersection.first_exact(solved, frames) if options.camera_rank is None else None
     best = selection.choose(rows) if exact is None else exact
     rotations, rank, shape = paths[best], solved[best].rank, "free"

@@ -1,8 +1,8 @@
 """Control of the linear-algebra library's threads.
 
 Small eigenproblems under a multi-threaded BLAS can run several times slower than on one thread, so the
-iterations run on one; passes over all points use every thread that the caller allows. Small problems that do not wait
-for one another are solved side by side, each on one thread: what each gives does not depend on how many there are.
+iterations run on one; passes over all points use every thread that the caller allows, several parts of the points side
+by side, each on one thread.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from nrsfm.numerics.threads import blas_threads, side_by_side, single_thread
+from nrsfm.numerics.threads import single_thread
 from nrsfm.perspective import model as low_rank
 from nrsfm.perspective.geometry import centred_points, checked_intrinsics, intrinsics_of
 from nrsfm.perspective.model import LowRankModel
@@ -120,31 +120,16 @@ def sample(
     )
 
 
-@dataclass(frozen=True)
-class _Fits:
-    """The affine model of every rank on a sample, and its fits at other strengths; ``workers`` ranks at a time."""
+def _affine_models(part: _Sample) -> list[LowRankModel]:
+    frames = len(part.tracks)
+    ranks = [rank for rank in RANKS if rank <= 3 or frames >= 20]
+    starts = [low_rank.start(part.tracks, part.rotations, part.scales, part.shapes, rank) for rank in ranks]
+    return [low_rank.fit(model, part.tracks, 0.0, _AFFINE) for model in starts]
 
-    tracks: np.ndarray
-    models: list[LowRankModel]
-    workers: int
 
-    @classmethod
-    def affine(cls, part: _Sample, workers: int) -> _Fits:
-        ranks = [rank for rank in RANKS if rank <= 3 or len(part.tracks) >= 20]
-        starts = [low_rank.start(part.tracks, part.rotations, part.scales, part.shapes, rank) for rank in ranks]
-        fits = cls(part.tracks, starts, workers)
-        return cls(part.tracks, fits._at(0.0, _AFFINE), workers)
-
-    def likelihoods(self, strength: float) -> np.ndarray:
-        """Log-likelihood per coordinate of every rank, refitted at one strength."""
-        return np.array([model.likelihood for model in self._at(strength, _STEPS)])
-
-    def _at(self, strength: float, iterations: int) -> list[LowRankModel]:
-        def fitted(model: LowRankModel) -> LowRankModel:
-            with np.errstate(all="ignore"):  # of this thread: a fit that breaks down says so
-                return low_rank.fit(model, self.tracks, strength, iterations)
-
-        return list(side_by_side(fitted, self.models, self.workers))
+def _likelihoods(part: _Sample, models: list[LowRankModel], strength: float) -> np.ndarray:
+    """Log-likelihood per coordinate of every rank, refitted at one strength."""
+    return np.array([low_rank.fit(model, part.tracks, strength, _STEPS).likelihood for model in models])
 
 
 def _peak(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
@@ -177,22 +162,17 @@ def find_perspective(
     if points.shape[0] < LEAST_FRAMES or points.shape[1] < LEAST_POINTS:
         reason = f"fewer than {LEAST_FRAMES} frames or {LEAST_POINTS} points"
         return PerspectiveFinding(0.0, matrix, False, False, "convention", 0.0, reason=reason)
-    workers = blas_threads()
     # Small systems: a BLAS with several threads would be slower than one.
     with single_thread(), np.errstate(all="ignore"):
-        if matrix is None:
-            return _calibrate(points, result, visible, workers)
-        return _judge(points, result, matrix, visible, workers)
+        return _calibrate(points, result, visible) if matrix is None else _judge(points, result, matrix, visible)
 
 
-def _judge(
-    points: np.ndarray, result: Any, intrinsics: np.ndarray, visible: np.ndarray | None, workers: int
-) -> PerspectiveFinding:
+def _judge(points: np.ndarray, result: Any, intrinsics: np.ndarray, visible: np.ndarray | None) -> PerspectiveFinding:
     """The mirror image, where ε is known."""
     part = sample(points, result, intrinsics, visible, _LARGE)
     strength = part.unit / float(intrinsics[0, 0])
-    fits = _Fits.affine(part, workers)
-    here, there = fits.likelihoods(strength), fits.likelihoods(-strength)
+    models = _affine_models(part)
+    here, there = _likelihoods(part, models, strength), _likelihoods(part, models, -strength)
     gain = float(np.mean(here - there))
     gains = {f"{strength:.4f}": 0.0, f"{-strength:.4f}": -gain}
     if not abs(gain) >= LEAST_GAIN:  # also where it is not a number
@@ -201,23 +181,23 @@ def _judge(
     return PerspectiveFinding(strength, intrinsics, gain < 0, True, "intrinsics", abs(gain), gains)
 
 
-def _calibrate(points: np.ndarray, result: Any, visible: np.ndarray | None, workers: int) -> PerspectiveFinding:
+def _calibrate(points: np.ndarray, result: Any, visible: np.ndarray | None) -> PerspectiveFinding:
     """Strength and mirror image together."""
     gains: dict[float, np.ndarray] = {}
     for size in (_SMALL, _LARGE):
         part = sample(points, result, None, visible, size)
-        fits = _Fits.affine(part, workers)
-        level = fits.likelihoods(0.0)
-        gains = {0.0: np.zeros(len(level))}
+        models = _affine_models(part)
+        level = _likelihoods(part, models, 0.0)
+        gains = {0.0: np.zeros(len(models))}
         for strength in (-FIRST_STRENGTH, FIRST_STRENGTH):
-            gains[strength] = fits.likelihoods(strength) - level
+            gains[strength] = _likelihoods(part, models, strength) - level
         place, gain = _best(gains)
         if not gain >= LEAST_GAIN / 2:
             return _nothing(gains, "the affine model explains the tracks as well")
     side = 1.0 if place > 0 else -1.0
     for strength in _GRID:
         if side * strength not in gains:
-            gains[side * strength] = fits.likelihoods(side * strength) - level
+            gains[side * strength] = _likelihoods(part, models, side * strength) - level
         if strength - abs(_best(gains)[0]) > 0.04:
             break  # past the peak
     place, gain = _best(gains)
@@ -225,11 +205,11 @@ def _calibrate(points: np.ndarray, result: Any, visible: np.ndarray | None, work
         return _nothing(gains, "the affine model explains the tracks as well")
     nearest = min((s for s in gains if s * place > 0), key=lambda s: abs(s - place))
     if -nearest not in gains:
-        gains[-nearest] = fits.likelihoods(-nearest) - level
+        gains[-nearest] = _likelihoods(part, models, -nearest) - level
     advantage = gains[nearest] - gains[-nearest]
     if not np.mean(advantage) >= LEAST_GAIN:  # as for flat shapes, for which the affine models settle badly
         return _nothing(gains, "both mirror images explain the tracks alike")
-    if 2 * np.count_nonzero(advantage > 0) <= len(advantage):
+    if 2 * np.count_nonzero(advantage > 0) <= len(models):
         return _nothing(gains, "the ranks do not agree")
     matrix = intrinsics_of(part.unit / abs(place), part.centre)
     return PerspectiveFinding(abs(place), matrix, place < 0, True, "perspective", gain, _plain(gains))
