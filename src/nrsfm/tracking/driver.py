@@ -15,6 +15,7 @@ from nrsfm.options import split_options
 from nrsfm.progress import Report, silent
 from nrsfm.tracking import chaining, photometric, subspace
 from nrsfm.tracking.deviation import EXACT, Deviations
+from nrsfm.tracking.extrapolation import extrapolate, matches
 from nrsfm.tracking.matching import SMOOTH, Template, despeckled, evened, noise_level, smoothing
 from nrsfm.tracking.options import METHODS, TrackingOptions
 from nrsfm.tracking.result import Layout, TrackingDiagnostics, TrackingResult
@@ -115,6 +116,10 @@ def track(
                 counter = _counter(progress, "subspace flow", chosen.rounds * count)
                 flows, trusts, found = subspace.refine(template, flows, trusts, counter)
                 rank, residual = found.basis.shape[1] - 1, found.residual
+            if chosen.extrapolate:
+                with _timed(seconds, "extrapolation"):
+                    counter = _counter(progress, "lost regions", matches(count))
+                    flows = extrapolate(template, flows, counter)
         if fitted:
             second = flows.copy()
             with _timed(seconds, "photometric fit"):

@@ -28,6 +28,9 @@ class TrackingOptions:
     sweeps: int = option(
         3, "passes over the video that look for what the chain of pairwise flow lost", minimum=0, maximum=10
     )
+    extrapolate: bool = option(
+        True, "look for lost regions where a low-rank model of the trusted points says that they must be"
+    )
     object_size: float = option(
         0.0,
         "pixels: images are enlarged, at most twice, until the square root of the object's area is so many (240 helps "

@@ -34,6 +34,7 @@ _TRUST = (0.2, 0.7)  # likeness at which trust begins, and is full
 _LEAST_NOISE = 20.0  # variance, grey levels
 _FAR = 2.0  # pixels: what pulls further counts less
 _HOLD = 1e-3  # of a frame's basis to what it was
+_START = 0.01  # precision, 1 / pixels²: what the images know nothing about stays near where it began
 _INNER = 3
 _CHUNK = 16384  # points
 _WIDTH_SHARE = 10 / 28  # of the steps are on the wide band
@@ -148,6 +149,7 @@ def fit(wide: Template, fine: Template, flows: np.ndarray, advance: Callable[[],
     step = samples_apart(wide)
     inside = wide.inside[::step, ::step]
     model = flows[:, ::step, ::step][:, inside].transpose(0, 2, 1).reshape(2 * frames, -1)
+    begun = model
     broad = min(round(_WIDTH_SHARE * total), total - 1)
     found: Subspace | None = None
     slope = gradient(wide.image.astype(np.float32))
@@ -166,6 +168,9 @@ def fit(wide: Template, fine: Template, flows: np.ndarray, advance: Callable[[],
                 flow = flows[f] if found is None else found.prediction(f, template.shape)
                 known[f] = _knowledge(template, slope, f, flow, step, deviation)[:, inside]
             advance()
+        back = (begun - model).reshape(frames, 2, -1)
+        known[:, [0, 2]] += _START
+        known[:, 3:] += _START * back
         weight = (known[:, 0] + known[:, 2]).mean(axis=0) * deviation**2 / 2
         basis, coefficients = _fit(model, known, inside, rank, sigma, pull, weight)
         model = basis @ coefficients.T

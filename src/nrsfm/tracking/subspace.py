@@ -131,10 +131,10 @@ def estimate(
     return Subspace(basis, coefficients, grid, step, residual)
 
 
-def _match(
+def match(
     template: Template, frame: int, own: np.ndarray, trust: np.ndarray, model: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The data step of one frame: flow (h, w, 2) near the prediction ``model``, and its trust (h, w)."""
+    """Return the data step of one frame: flow (h, w, 2) near the prediction ``model``, and its trust (h, w)."""
     cv2 = import_cv2()
 
     image = template.frames[frame]
@@ -170,6 +170,6 @@ def refine(
         for f in range(len(flows)):
             if f != template.reference:
                 model = found.prediction(f, template.shape)
-                flows[f], trusts[f] = _match(template, f, flows[f], trusts[f], model)
+                flows[f], trusts[f] = match(template, f, flows[f], trusts[f], model)
             advance()
     return flows, trusts, found
