@@ -20,7 +20,7 @@ from nrsfm.tracking.subspace import Subspace, match, samples_apart, smoothed
 from nrsfm.tracking.visibility import judge, threshold
 
 BEGINNINGS = ((3, 6, 9, 12), (6, 9, 12))
-"""Ranks, one after the other, beside the mean trajectory."""
+"""Ranks, one after the other, beside the mean trajectory; of short videos at most a third of the frames."""
 
 _SWEEPS = 40  # of bases and coefficients
 _OUTLIER = 3.0  # pixels from the model from which on an entry counts less
@@ -95,9 +95,16 @@ def _bases(basis: np.ndarray, tracks: np.ndarray, weights: np.ndarray, values: n
         basis[f] = np.linalg.solve(normal + hold * np.diag(ridge), weighted @ tracks[f].T).T
 
 
+def beginnings(frames: int) -> list[list[int]]:
+    """Return the ranks that are tried for so many frames."""
+    largest = max(1, frames // 3)
+    plans = [sorted({min(rank, largest) for rank in ranks}) for ranks in BEGINNINGS]
+    return plans if plans[0] != plans[1] else plans[:1]
+
+
 def matches(frames: int) -> int:
     """Return how often :func:`extrapolate` says that a frame is done."""
-    return sum(len(ranks) for ranks in BEGINNINGS) * frames
+    return sum(map(len, beginnings(frames))) * frames
 
 
 def extrapolate(template: Template, flows: np.ndarray, advance: Callable[[], None]) -> np.ndarray:
@@ -106,10 +113,10 @@ def extrapolate(template: Template, flows: np.ndarray, advance: Callable[[], Non
     begin = trust(template, flows)
     samples = int(np.count_nonzero(template.inside[::step, ::step]))
     best, most = flows, -1.0
-    for ranks in BEGINNINGS:
+    for ranks in beginnings(frames):
         found, trusts = flows.copy(), begin
         for rank in ranks:
-            model = factorise(found, trusts, template.inside, step, max(1, min(rank, frames - 1, samples - 2)))
+            model = factorise(found, trusts, template.inside, step, max(1, min(rank, samples - 2)))
             for f in range(frames):
                 if f != template.reference:
                     found[f], _ = match(template, f, found[f], trusts[f], model.prediction(f, template.shape))
