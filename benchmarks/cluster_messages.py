@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from nrsfm.streaming.cluster import Cluster, Job
+from nrsfm.streaming.cluster import Cluster
+from nrsfm.streaming.jobs import Job
 from nrsfm.streaming.stream import Stream
 from nrsfm.streaming.targets import Target
 

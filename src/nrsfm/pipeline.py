@@ -30,7 +30,8 @@ from nrsfm.progress import Report, TerminalProgress, silent
 from nrsfm.reconstruction import Reconstruction
 from nrsfm.repair import Repaired, RepairOptions, Resection, repair, resect, resect_by_cells, trusted_points
 from nrsfm.streamed import may_stream, reconstruct_streamed, require_room, why_whole
-from nrsfm.streaming.cluster import addressed, runner_of
+from nrsfm.streaming.cluster import runner_of
+from nrsfm.streaming.connecting import addressed
 from nrsfm.streaming.targets import Target
 from nrsfm.tracks import Tracks
 from nrsfm.uncertainty import UncertaintyOptions

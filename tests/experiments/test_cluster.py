@@ -11,8 +11,8 @@ from nrsfm.experiments import runner
 from nrsfm.experiments.base import Cell, Data
 from nrsfm.experiments.kept import Store
 from nrsfm.experiments.runner import Limits, run_cells
-from nrsfm.streaming import cluster as clusters
-from nrsfm.streaming.cluster import ClusterError
+from nrsfm.streaming import connecting
+from nrsfm.streaming.connecting import ClusterError
 
 distributed = pytest.importorskip("distributed")
 
@@ -90,7 +90,7 @@ def test_limits_are_kept_on_the_workers(tmp_path, client):
 
 
 def test_a_cluster_that_does_not_answer(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(clusters, "_CONNECTING", 0.5)
+    monkeypatch.setattr(connecting, "CONNECTING", 0.5)
     with pytest.raises(ClusterError, match="no scheduler answers"):
         run_cells([cell()], Store(tmp_path, None), None, cluster="tcp://127.0.0.1:1")
     words = ["experiment", "tau", "--quick", "--cluster", "tcp://127.0.0.1:1", "--out", str(tmp_path / "out")]

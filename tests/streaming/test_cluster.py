@@ -17,7 +17,10 @@ import pytest
 import nrsfm
 from nrsfm.errors import FileError, InputError, OptionError
 from nrsfm.streaming import cluster as clusters
-from nrsfm.streaming.cluster import ClusterError, addressed, depth, groups, runner_of
+from nrsfm.streaming import connecting, jobs
+from nrsfm.streaming.cluster import runner_of
+from nrsfm.streaming.connecting import ClusterError, addressed
+from nrsfm.streaming.jobs import depth, groups
 from nrsfm.streaming.readers import FileReader, MapReader, StoredReader, reader_of
 from nrsfm.streaming.stored import StoredPoints
 from nrsfm.streaming.stream import Stream
@@ -244,14 +247,14 @@ class _Elsewhere(FileReader):
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", "word"])
 def test_a_cluster_that_does_not_answer(address, tracks, monkeypatch):
-    monkeypatch.setattr(clusters, "_CONNECTING", 0.5)
+    monkeypatch.setattr(connecting, "CONNECTING", 0.5)
     with pytest.raises(ClusterError, match="no scheduler answers at") as caught:
         reconstructed(tracks, cluster=address)
     assert "\n" not in str(caught.value)
 
 
 def test_a_cluster_without_workers(tracks, monkeypatch):
-    monkeypatch.setattr(clusters, "_WAITING", 0.3)
+    monkeypatch.setattr(connecting, "WAITING", 0.3)
     with (
         distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0", protocol="tcp://") as empty,
         pytest.raises(ClusterError, match=r"has no workers, and none came within 0\.3 s"),
@@ -268,7 +271,7 @@ def test_workers_of_another_version_are_refused(tracks, client, monkeypatch):
 def test_what_cannot_be_a_cluster(tracks, client, monkeypatch):
     with pytest.raises(OptionError, match="option 'cluster' must be an address"):
         reconstructed(tracks, cluster=3)
-    monkeypatch.setattr(clusters, "LARGEST", 1000)
+    monkeypatch.setattr(jobs, "LARGEST", 1000)
     with pytest.raises(InputError, match="in memory are too much to be sent"):
         reconstructed(tracks, cluster=client)
     monkeypatch.setitem(sys.modules, "distributed", None)

@@ -17,7 +17,8 @@ from nrsfm.experiments.base import Cell, Data, Record
 from nrsfm.experiments.kept import Store
 from nrsfm.experiments.runner import Clock, Limits, readable, run_cells, weight
 from nrsfm.experiments.worker import in_one_line
-from nrsfm.streaming.cluster import Cluster, ClusterError, require_seen
+from nrsfm.streaming.cluster import Cluster
+from nrsfm.streaming.connecting import ClusterError, require_seen
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -85,7 +85,7 @@ def run_cells(
     limits = limits or Limits()
     if cluster is not None and together:
         from nrsfm.experiments.remote import Sweep
-        from nrsfm.streaming.cluster import connected
+        from nrsfm.streaming.connecting import connected
 
         with connected(cluster) as client:
             Sweep(together, store, root, client, limits, clock).run()
