@@ -125,7 +125,7 @@ class View {
     rate.value = (1000 * rate.frames) / span;
     Object.assign(rate, { since: now, frames: 0 });
     if (this.played < 1.2 * Math.min(this.scene.frames, this.store.most)) return;
-    const late = rate.value < 0.93 * Math.min(this.scene.fps * this.speed, 60);
+    const late = rate.value < 0.97 * Math.min(this.scene.fps * this.speed, 60);
     this.late = late ? this.late + 1 : 0;
     this.calm = late ? 0 : this.calm + 1;
     if (this.late > 1 && stage.quality > 0.5) {
