@@ -7,6 +7,7 @@ from pathlib import Path
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
     os.environ.setdefault(_name, "2")
 
+import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import HealthCheck, settings  # noqa: E402
 
@@ -24,3 +25,38 @@ def data_root() -> Path:
     if not folder.is_dir():
         pytest.skip(f"REAL DATA ABSENT: no folder '{folder}' (set NRSFM_DATA to test on real sequences)")
     return folder.resolve()
+
+
+def strict(array):
+    return pytest.importorskip("array_api_strict").asarray(array)
+
+
+def strict_elsewhere(array):
+    """On a device that refuses to mix with others, as a graphics card does."""
+    library = pytest.importorskip("array_api_strict")
+    return library.asarray(array, device=library.Device("device1"))
+
+
+def torch(array):
+    return pytest.importorskip("torch").asarray(np.array(array))
+
+
+def torch_cuda(array):
+    library = pytest.importorskip("torch")
+    if not library.cuda.is_available():
+        pytest.skip("no graphics card")
+    return library.asarray(np.array(array), device="cuda")
+
+
+def cupy(array):
+    library = pytest.importorskip("cupy")
+    try:
+        return library.asarray(array)
+    except library.cuda.runtime.CUDARuntimeError:
+        pytest.skip("no graphics card")
+
+
+@pytest.fixture(params=[strict, strict_elsewhere, torch, torch_cuda, cupy])
+def library(request):
+    """The function that makes an array of a library out of one of NumPy."""
+    return request.param

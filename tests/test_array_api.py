@@ -17,41 +17,6 @@ from nrsfm.numerics.arrays import beside, namespace_of, on_host, taken, with_col
 from nrsfm.numerics.low_rank import threshold_over_frames
 
 
-def strict(array):
-    return pytest.importorskip("array_api_strict").asarray(array)
-
-
-def strict_elsewhere(array):
-    """On a device that refuses to mix with others, as a graphics card does."""
-    library = pytest.importorskip("array_api_strict")
-    return library.asarray(array, device=library.Device("device1"))
-
-
-def torch(array):
-    return pytest.importorskip("torch").asarray(np.array(array))
-
-
-def torch_cuda(array):
-    library = pytest.importorskip("torch")
-    if not library.cuda.is_available():
-        pytest.skip("no graphics card")
-    return library.asarray(np.array(array), device="cuda")
-
-
-def cupy(array):
-    library = pytest.importorskip("cupy")
-    try:
-        return library.asarray(array)
-    except library.cuda.runtime.CUDARuntimeError:
-        pytest.skip("no graphics card")
-
-
-@pytest.fixture(params=[strict, strict_elsewhere, torch, torch_cuda, cupy])
-def library(request):
-    """The function that makes an array of a library out of one of NumPy."""
-    return request.param
-
-
 def projectors(points):
     return points @ points.transpose(0, 2, 1)
 
@@ -195,6 +160,8 @@ def test_where_the_iteration_runs(problems, name, monkeypatch):
     points = rng.standard_normal((12, 2, 3)) @ rng.standard_normal((3, 1200)) + 0.01 * rng.standard_normal(
         (12, 2, 1200)
     )
-    result = nrsfm.reconstruct(strict_elsewhere(points.transpose(0, 2, 1)), name, perspective="off")
+    strict = pytest.importorskip("array_api_strict")
+    given = strict.asarray(points.transpose(0, 2, 1), device=strict.Device("device1"))
+    result = nrsfm.reconstruct(given, name, perspective="off")
     assert seen[0] is getattr(method, "on_device", False)
     assert is_on_device(result.shapes)

@@ -17,28 +17,6 @@ def strict(array):
     return pytest.importorskip("array_api_strict").asarray(array)
 
 
-def torch(array):
-    return pytest.importorskip("torch").asarray(np.array(array))
-
-
-def torch_cuda(array):
-    library = pytest.importorskip("torch")
-    if not library.cuda.is_available():
-        pytest.skip("no graphics card")
-    return library.asarray(np.array(array), device="cuda")
-
-
-def cupy(array):
-    library = pytest.importorskip("cupy")
-    try:
-        return library.asarray(array)
-    except library.cuda.runtime.CUDARuntimeError:
-        pytest.skip("no graphics card")
-
-
-LIBRARIES = [strict, torch, torch_cuda, cupy]
-
-
 def bending(points=POINTS, noise=0.5, offset=(320, 240)):
     """A sheet that bends and turns: tracks (F, P, 2) float32 in pixels."""
     rng = np.random.default_rng(0)
@@ -61,7 +39,6 @@ def expected(points):
     return nrsfm.reconstruct(points, "geometry-aware", memory="2GB")  # in blocks, as devices have it
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 def test_the_same_as_of_numpy(points, expected, library, monkeypatch):
     monkeypatch.setattr("nrsfm.streaming.on_device._BYTES", 700 * 16 * FRAMES)  # several blocks
     given = library(points)
@@ -78,7 +55,6 @@ def test_the_same_as_of_numpy(points, expected, library, monkeypatch):
     assert result.diagnostics["warnings"] == expected.diagnostics["warnings"]
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 @pytest.mark.parametrize("method", ["csf2", "auto"])
 def test_one_cell_and_the_default(points, library, method):
     result = nrsfm.reconstruct(library(points[:, :1200]), method, precision="float64")
