@@ -8,8 +8,6 @@ import { Store, fetchArray } from "./store.js";
 import { listenToKeys } from "./keys.js";
 import { listenToPointers } from "./pointers.js";
 
-const TOLD = 90; // milliseconds: numbers beside the picture need not change with every frame, and each change costs
-
 const element = (id) => document.getElementById(id);
 
 class View {
@@ -29,7 +27,7 @@ class View {
     this.shown = -1;
     this.rate = { since: 0, frames: 0, value: null };
     this.counts = { distinct: 0, draws: 0 }; // what was drawn since the beginning, for whoever wants to measure
-    Object.assign(this, { played: 0, late: 0, calm: 0, falls: 0, told: -TOLD });
+    Object.assign(this, { played: 0, late: 0, calm: 0, falls: 0 });
     this.controls = new Controls(this, SPEEDS);
   }
 
@@ -108,8 +106,6 @@ class View {
       this.shown = this.frame;
       if (this.playing) this.measure(now);
     }
-    if (this.playing && now - this.told < TOLD) return;
-    this.told = now;
     this.controls.update(this.frame, this.rate.value, this.store.frames.size);
   }
 
